@@ -36,7 +36,7 @@ from .config import (
     write_template,
 )
 from .console import Console
-from .settings.engines import ImportedTechnique, ShadowType, ThreeJs
+from .settings.engines import EngineName, ImportedTechnique, ShadowType, ThreeJs
 from .settings.quantities import MAX_TEXELS
 
 SUCCESS, USER_ERROR, INTERRUPTED = 0, 2, 130
@@ -294,7 +294,8 @@ def convert(config: Path, /, *overrides: str) -> None:
     """Prints the bias and the radius of CONFIG in the units of three.js, Babylon.js, Godot, Bevy, Filament and Unity.
 
     Of a finished fit, it converts the fitted values. To a bias that engines lack, such as a slope or a receiver plane,
-    it fits the shadows of three.js and Babylon.js, which takes as long as two fits.
+    it fits the shadows of three.js and Babylon.js, which takes as long as two fits, and says how to fit what another
+    engine has. The technique may be three.js' or Babylon.js' own.
 
     Example: `diffshadow convert runs/quickstart`
 
@@ -303,7 +304,8 @@ def convert(config: Path, /, *overrides: str) -> None:
     Parameters
     ----------
     config
-        YAML file with technique type shadow_map, mesh file, folder of a finished run or builtin:NAME.
+        YAML file with technique type shadow_map, three.js or babylon.js, mesh file, folder of a finished run or
+        builtin:NAME.
     overrides
         KEY=VALUE pairs that replace values of the file, such as `bias.constant=2`.
     """
@@ -314,7 +316,7 @@ def convert(config: Path, /, *overrides: str) -> None:
     _start_jax()
     from . import study
 
-    study.convert(settings, console=Console(), origin=origin)
+    study.convert(settings, console=Console(), origin=origin, source=config, overrides=overrides)
 
 
 @app.command
@@ -371,6 +373,7 @@ def advise(
     scheduler: str | None = None,
     workers: int | None = None,
     dry_run: bool = False,
+    engine: EngineName | None = None,
 ) -> None:
     """Fits several techniques to the views of CONFIG, times them, and recommends one.
 
@@ -379,6 +382,8 @@ def advise(
     are missing or have failed. The path of the folder is the last line printed.
 
     Example: `diffshadow advise configs/quickstart.yaml advise.within=0.1`
+
+    Example: `diffshadow advise runs/quickstart --engine godot`
 
     Parameters
     ----------
@@ -392,13 +397,24 @@ def advise(
         Number of local worker processes, by default one per core; 0 does the fits in this process.
     dry_run
         Only list the fits that would be done.
+    engine
+        Rank only the filters and biases that this engine has, and end with the code to paste.
     """
     _check_count("--workers", workers, 0, _MAX_WORKERS_PER_CORE * (os.cpu_count() or 1))
-    with _counting("checking runs", _RUNS_PER_UPDATE) as progress:
-        advice = load_advice(_file_of(config), overrides, progress=progress)
-    _start_jax()
-    from . import study
+    file = _file_of(config)
+    if engine is None:
+        with _counting("checking runs", _RUNS_PER_UPDATE) as progress:
+            advice = load_advice(file, overrides, progress=progress)
+        _start_jax()
+        from . import study
+    else:
+        # Its mistakes are reported before JAX is loaded.
+        _print_notes(load_config(file, overrides).notes)
+        _start_jax()
+        from . import study
 
+        with _counting("checking runs", _RUNS_PER_UPDATE) as progress:
+            advice = study.engine_advice(file, overrides, engine, console=Console(), progress=progress)
     if dry_run:
         study.print_advise_plan(Console(), advice)
         return

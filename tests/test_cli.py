@@ -317,7 +317,27 @@ def test_convert_speaks_the_units_of_engines(capsys):
     assert run("convert", QUICKSTART, "scene.light={type: rectangle, position: [0, 3, 0]}", *small) == 2
     assert "scene.light: the light is a RectangleLight; expected a directional" in capsys.readouterr().err
     assert run("convert", QUICKSTART, "technique.type=shadow_volumes", *small) == 2
-    assert "technique.type: is shadow_volumes; expected shadow_map" in capsys.readouterr().err
+    assert "technique.type: is shadow_volumes; expected shadow_map, three.js or babylon.js" in capsys.readouterr().err
+
+
+def test_convert_speaks_of_one_engine_in_the_units_of_another(capsys):
+    small = "scene.camera.resolution=[64, 64]", "shadow_map.resolution=[64, 64]", "scene.meshes.0.path=builtin:box"
+    engine = "technique={type: three.js, bias: -0.01, radius: 3, shadow_side: double}"
+    assert run("convert", QUICKSTART, engine, *small) == 0
+    out = capsys.readouterr().out
+    # A hundredth of the depth range.
+    assert re.search(r"Godot 4 +shadow_bias +1 ", out)
+    assert re.search(r"Babylon\.js +generator\.bias \(PCF\) +0\.02 ", out)
+    assert re.search(r"Godot 4 +shadow_blur +1\.5 ", out)
+    assert "the filter PCFShadowMap, as wide as a disk with a radius of 3 texels" in out
+    assert "valid where both sides of faces cast, as in three.js" in out
+
+
+def test_an_unknown_engine_is_answered_with_the_names(capsys):
+    assert run("advise", QUICKSTART, "--engine", "unreal") == 2
+    err = capsys.readouterr().err
+    assert all(name in err for name in ("unreal", "godot", "bevy", "filament", "unity", "three.js", "babylon.js"))
+    assert "Traceback" not in err
 
 
 def test_validate_takes_techniques_that_cannot_be_fitted(capsys):

@@ -27,6 +27,7 @@ from .reading._of_run import RECOMMENDED_FILE as RECOMMENDED_FILE
 from .reading._of_run import RESULT_FILE as RESULT_FILE
 from .reading._of_run import SettingsFile as SettingsFile
 from .reading._of_run import settings_file, with_fitted
+from .reading._sweep_runs import Progress as Progress
 from .reading._sweep_runs import Sweep, SweepRun, SweepRuns, load_sweep
 from .reading._templates import DEFAULT_TEMPLATE as DEFAULT_TEMPLATE
 from .sections._axes import LABEL as LABEL

@@ -15,6 +15,7 @@ from ._edges import share_vertices as share_vertices
 from ._framing import FrameLight as FrameLight
 from ._framing import Lens as Lens
 from ._framing import sun as frame_sun
+from ._ground import stands_on_z as stands_on_z
 from ._ground import up_of as up_of
 from ._ground import y_up as y_up
 from ._library import LIBRARY, OptionError, library_mesh

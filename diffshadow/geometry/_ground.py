@@ -87,10 +87,12 @@ def up_of(corners: Corners, is_y_up_format: bool) -> Literal["y", "z"]:
         return "y"
     if ground_of(turned) is not None:
         return "z"
-    if is_y_up_format:
-        return "y"
-    foot, turned_foot = _foot(corners), _foot(turned)
-    return "z" if turned_foot > max(_FOOT, _MORE * foot) else "y"
+    return "z" if not is_y_up_format and stands_on_z(corners) else "y"
+
+
+def stands_on_z(corners: Corners) -> bool:
+    """Whether an object has a flat foot across z, and a much smaller one or none across y."""
+    return _foot(y_up(corners)) > max(_FOOT, _MORE * _foot(corners))
 
 
 def y_up(vectors: Float[HostArray, "*n 3"]) -> Float[HostArray, "*n 3"]:

@@ -61,7 +61,8 @@ def is_lit(scene: Scene, pixels: Bool[HostArray, "h w"], blockers: Blockers = Se
 
 
 def _job(scene: Scene, blockers: Blockers) -> Job:
-    return Job(EmbreeTracer, scene, sampling_of(scene.light, _SAMPLES, "sobol", 0), blockers)
+    # SciPy's sequences would take a second to load.
+    return Job(EmbreeTracer, scene, sampling_of(scene.light, _SAMPLES, "stratified", 0), blockers)
 
 
 def _batches(job: Job) -> Iterator[tuple[Any, Any, Any]]:

@@ -11,7 +11,7 @@ from .quantities import MAX_FACTOR, MAX_LAYERS, MAX_TEXELS, Texels
 BiasUnit = Literal["texels", "depth"]
 """Unit of a bias along the light's axis: texel widths at the receiver, or window depth."""
 SlopeProfile = Literal["tangent", "one_minus_cosine"]
-OffsetProfile = Literal["sine", "constant", "one_minus_cosine"]
+OffsetProfile = Literal["sine", "constant", "one_minus_cosine", "across"]
 _UNIT_NAMES = {"texels": "texels", "depth": "window depth"}
 
 

@@ -28,6 +28,17 @@ BabylonFilter = Literal[
 """A `FILTER_` constant of the shadow generator, without that prefix."""
 BabylonQuality = Literal["HIGH", "MEDIUM", "LOW"]
 """A `QUALITY_` constant of the shadow generator."""
+EngineName = Literal["godot", "bevy", "filament", "unity", "three.js", "babylon.js"]
+"""An engine, as one names it to the command."""
+ENGINES: dict[EngineName, str] = {
+    "godot": "Godot 4",
+    "bevy": "Bevy",
+    "filament": "Filament",
+    "unity": "Unity URP",
+    "three.js": "three.js",
+    "babylon.js": "Babylon.js",
+}
+"""The engines, and how sentences name them."""
 ImportedTechnique = Literal["three.js", "shadow_map"]
 """The technique of a configuration that is made of an engine's scene."""
 

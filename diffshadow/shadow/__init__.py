@@ -28,8 +28,15 @@ from .biases import (
     ReceiverPlane,
     SlopeBias,
 )
+from .engines import GODOT_QUALITIES as GODOT_QUALITIES
+from .engines import OFFSET_PROFILES as OFFSET_PROFILES
 from .engines import AbstractEngineShadows, BabylonJs, EngineLight, EngineMap, ThreeJs, engine_code, engine_settings
 from .engines import EngineSetting as EngineSetting
+from .engines import LightFrame as LightFrame
+from .engines import PlainBias as PlainBias
+from .engines import castano_radius as castano_radius
+from .engines import light_frame as light_frame
+from .engines import plain_bias as plain_bias
 from .engines import radius_settings as radius_settings
 from .filters import AbstractFilter
 from .filters._castano import Castano

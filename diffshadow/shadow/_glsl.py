@@ -138,6 +138,9 @@ def _product(weights: Float[HostArray, " n"], values: Sequence[str]) -> str:
 
 
 def _offset(offset: NormalOffset) -> str:
+    if offset.profile not in _COSINE_OF:
+        expected = ", ".join(_COSINE_OF)
+        raise ValueError(f"the normal offset has the profile {offset.profile}, which has no GLSL; expected {expected}")
     return f"{_text(offset.value)} * ({FEATURES[_COSINE_OF[offset.profile]].glsl})"
 
 

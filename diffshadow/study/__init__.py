@@ -22,6 +22,7 @@ from .runs._setup import traced as traced
 __all__ = [
     "compare",
     "convert",
+    "engine_advice",
     "import_scene",
     "report",
     "run_advise",
@@ -34,6 +35,7 @@ __all__ = [
 if TYPE_CHECKING:
     from .advice._advise import print_advise_plan as print_advise_plan
     from .advice._advise import run_advise
+    from .advice._engines import engine_advice
     from .pages._colours import difference_colours as difference_colours
     from .pages._colours import marked as marked
     from .pages._colours import on_surface as on_surface
@@ -49,6 +51,7 @@ _ON_USE = {
     "run_sweep": ".sweeps._run",
     "print_advise_plan": ".advice._advise",
     "run_advise": ".advice._advise",
+    "engine_advice": ".advice._engines",
 }
 
 

@@ -156,7 +156,8 @@ class Viewer:
         """
         config = self.subject(look.state).saved(look.state)
         text = Console(file=io.StringIO(), width=100)
-        study.convert(config, console=text)
+        changes = overrides_of(settings_of(look.state, self.config, config))
+        study.convert(config, console=text, source=self.name, overrides=changes, fits=False)
         return text.file.getvalue()  # type: ignore[attr-defined]
 
     def _before(self, frame: Frame, look: Look, like: Picture) -> Picture:

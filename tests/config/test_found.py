@@ -98,6 +98,19 @@ def test_a_mesh_that_lies_across_z_is_turned():
     assert len(config.scene.meshes) == 1
 
 
+def test_a_flat_foot_across_z_is_a_remark_on_gltf():
+    """Which has y up by definition."""
+    column = geometry.library_mesh("box", size=(1.0, 1.0, 3.0))
+    v = np.asarray(column.vertices) - [0, 0.5, 0]
+    # It tapers, so that no side is level.
+    lying = v * np.where(v[:, 2:] > 0, [0.3, 0.3, 1], 1)
+    geometry.Mesh(lying, column.faces).to_trimesh().export("lying.glb")
+    config = load_config("lying.glb")
+    assert config.scene.meshes[0].rotate == (0, 0, 0)
+    assert "if z is up, set 'scene.meshes.0.rotate=[-90, 0, 0]'" in config.notes[0]
+    assert load_config("lying.glb", ["scene.meshes.0.rotate=[-90, 0, 0]"]).scene.meshes[0].rotate == (-90, 0, 0)
+
+
 @pytest.mark.parametrize(
     ("given", "expected"),
     [

@@ -133,6 +133,9 @@ def test_what_lies_flat_across_z_has_z_up():
     column = np.concatenate([corners_of("box"), moved(corners_of("sphere", subdivisions=1) * 1.5, 0, 1.5, 0)])
     assert ground.up_of(z_up(column), False) == "z"
     assert ground.up_of(column, False) == "y"
+    # A format that has y up by definition is not contradicted by a foot.
+    assert ground.up_of(z_up(column), True) == "y"
+    assert (ground.stands_on_z(z_up(column)), ground.stands_on_z(column)) == (True, False)
     assert ground.up_of(z_up(SCENES["chair"]()), True) == "y"
     assert ground.up_of(corners_of("sphere", subdivisions=2), False) == "y"
 

@@ -185,6 +185,15 @@ def test_normal_offset_moves_along_the_normal_by_its_profile(profile, formula):
     assert (np.asarray(terms.depth) == 0).all()
 
 
+def test_offset_across_the_light_moves_nothing_towards_it():
+    """Window depth falls by a thousandth per texel of 0.02 towards the light."""
+    plain, across = (NormalOffset(1.5, profile)(receivers_at()) for profile in ("one_minus_cosine", "across"))
+    np.testing.assert_array_equal(across.displacement, plain.displacement)
+    cosine = np.maximum(np.cos(np.radians(ANGLES)), 0)
+    towards = across.displacement[0, :, 1] * cosine / 0.02 * 1e-3
+    np.testing.assert_allclose(-across.depth[0], towards, rtol=1e-5, atol=1e-9)
+
+
 LINEAR = LinearBias({"one": 0.5, "slope": 0.25, "blocker_distance": -0.5})
 
 
@@ -326,7 +335,7 @@ def test_no_bias_moves_nothing_and_no_profile_has_a_nan_slope():
     def total(cosine):
         at = receivers_at()
         at = eqx.tree_at(lambda at: at.cosine, at, cosine)
-        biases = (*EVERY.values(), *(NormalOffset(1.0, p) for p in ("sine", "constant", "one_minus_cosine")))
+        biases = (*EVERY.values(), *(NormalOffset(1.0, p) for p in ("sine", "constant", "one_minus_cosine", "across")))
         terms = [bias(at) for bias in biases]
         return sum(jnp.sum(leaf) for leaf in jax.tree.leaves(terms))
 

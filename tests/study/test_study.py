@@ -1,13 +1,11 @@
 """Runs from a configuration to a folder: what is written, what is said, and what a failure leaves behind."""
 
-import ast
 import dataclasses
 import html
 import importlib.util
 import io as text_io
 import json
 import re
-import shlex
 import shutil
 import subprocess
 import sys
@@ -21,12 +19,13 @@ from rich.console import Console
 from scenes import staying_in
 from stored_runs import TINY
 
-from diffshadow import fit, geometry, io, metrics, reference, study
+from diffshadow import fit, io, metrics, reference, study
 from diffshadow._arithmetic import as_array, as_float
 from diffshadow.cli import main
 from diffshadow.config import ConfigError, build_scene, build_technique, fit_paths, load_config, settings_file
 from diffshadow.shadow import SoftCompare, ThreeJs, engine_code
 from diffshadow.study.runs import _convert, _engine
+from diffshadow.study.runs._engine_fits import Lit
 from diffshadow.study.runs._progress import Stages
 from diffshadow.study.runs._setup import Loaded, _traced, draw
 from diffshadow.study.runs._shade import perceptual_error
@@ -141,7 +140,7 @@ def test_a_fit_leaves_a_configuration_with_the_fitted_values(finished):
 
 def converted(config, origin: str = "") -> str:
     to, out = console()
-    study.convert(config, console=to, origin=origin)
+    study.convert(config, console=to, origin=origin, source="tiny.yaml", overrides=["bias.slope=0"])
     return out.getvalue()
 
 
@@ -196,7 +195,7 @@ def test_a_bias_that_engines_lack_is_fitted_instead(what, monkeypatch):
 @pytest.mark.parametrize("kind", ["{}", "{type: spot, orbit: {distance: 6}}", "{type: point, position: [0, 4, 1]}"])
 def test_fits_of_engines_start_within_their_bounds(kind):
     config = tiny(f"scene.light={kind}")
-    lit = _convert._Lit(("scene", "light"), build_scene(config), 0.05, 0.01, 3.0)
+    lit = Lit(("scene", "light"), build_scene(config), 0.05, 0.01, 3.0)
     for overrides in _convert._fits(config, [lit]).values():
         made = load_config("tiny.yaml", [f"scene.light={kind}", *overrides], fitting=True)
         for name, bounds in made.fit.parameters.items():
@@ -214,6 +213,7 @@ def test_a_bias_that_engines_lack_is_converted_and_measured():
     assert "light.shadow.bias = -" in said
     assert "generator.bias = " in said
     assert "Godot 4, Bevy, Filament, Unity URP are left out" in said
+    assert "diffshadow advise tiny.yaml bias.slope=0 --engine godot" in said
     oblong = converted(tiny(*overrides, "shadow_map.resolution=[64, 32]"))
     assert "Babylon.js is left out, since its maps are square" in oblong
 
@@ -841,112 +841,6 @@ def test_validating_loads_no_matplotlib():
     program = f"{check}\nimport diffshadow.study\nfrom diffshadow.cli import main\nmain(['validate', 'tiny.yaml'])"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=True)
     assert done.stderr.splitlines()[-1] == "False"
-
-
-@pytest.fixture
-def readme():
-    """The Python of the README and of docs/usage.md, block by block."""
-    shutil.copytree(ROOT / "configs", "configs")
-    blocks = []
-    for page in ("README.md", "docs/usage.md"):
-        for block in re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.DOTALL):
-            blocks.append(compile(block, page, "exec"))
-    return blocks
-
-
-@pytest.mark.exhaustive
-def test_python_of_the_readme_runs_and_finds_the_sun_where_it_says(readme, capsys):
-    names, (technique, sun, own, saved, traced, far, trimeshes, training) = {}, readme
-    exec(technique, names)
-    assert "filter.radius" in capsys.readouterr().out
-    exec(sun, names)
-    found = ast.literal_eval(capsys.readouterr().out.splitlines()[-1])
-    assert found == pytest.approx({"lights.0.azimuth": -60.0, "lights.0.elevation": 50.0}, abs=0.1)
-    exec(own, names)
-    assert "bias.constant" in capsys.readouterr().out
-    exec(saved, names)
-    assert Path("runs/absolute/report.html").is_file()
-    capsys.readouterr()
-    exec(traced, names)
-    assert re.search(r"\[.*\d.*\]", capsys.readouterr().out)
-    exec(far, names)
-    assert names["scene"].origin == (6e5, 0, 3e6)
-    exec(trimeshes, names)
-    assert len(names["scene"].meshes) == 2
-    assert len(names["back"].faces) == len(names["scene"].mesh.faces)
-    exec(training, names)
-    assert names["found"].loss <= names["found"].initial_loss
-    assert "float shadow_visibility(" in capsys.readouterr().out
-
-
-SMALL_RUN = (
-    *("scene.camera.resolution=[48, 48]", "shadow_map.resolution=[64, 64]", "reference.samples=4", "fit.front=0"),
-    *("fit.solver.max_steps=2", "fit.anneal.phases=1", "fit.intervals=[]"),
-)
-
-
-def commands_of(page, until):
-    """The words of each command of the command-line program on a page, before the first text `until`."""
-    text = (ROOT / page).read_text(encoding="utf-8").partition(until)[0]
-    blocks = re.findall(r"```\n(.*?)```", text, re.DOTALL)
-    lines = [line for block in blocks for line in block.splitlines() if line.startswith("diffshadow ")]
-    lines += re.findall(r"`(diffshadow (?:convert|init|fit|advise)[^`]*)`", text) if page == "README.md" else []
-    return [shlex.split(line, comments=True)[1:] for line in lines]
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize(("page", "until"), [("README.md", "## Techniques"), ("docs/usage.md", "### What is found")])
-def test_first_commands_of_a_page_run_as_they_stand_there(page, until, capsys):
-    chair = geometry.library_mesh("chair")
-    chair.to_trimesh().export("your_mesh.glb")
-    commands = commands_of(page, until)
-    assert len(commands) >= 6
-    for command, *words in commands:
-        run_by = [command, *words]
-        if command in ("fit", "render", "convert", "validate"):
-            run_by += SMALL_RUN
-        if command == "advise" and "--dry-run" not in words:
-            run_by.append("--dry-run")
-        if command == "init":
-            # Pages write the same file for several readers.
-            Path("your_mesh_three_js.yaml").unlink(missing_ok=True)
-        with pytest.raises(SystemExit) as caught:
-            main(run_by)
-        out, error = capsys.readouterr()
-        assert caught.value.code == 0, (run_by, error)
-        if "--preview" in words:
-            assert Path("runs/your_mesh-preview.png").is_file()
-            assert "of the picture is in shadow" in out
-
-
-@pytest.fixture
-def engines_page():
-    """The Python of docs/engines.md, block by block."""
-    text = (ROOT / "docs" / "engines.md").read_text(encoding="utf-8")
-    return [compile(block, "docs/engines.md", "exec") for block in re.findall(r"```python\n(.*?)```", text, re.DOTALL)]
-
-
-@pytest.mark.exhaustive
-def test_python_of_the_engines_page_runs_and_takes_the_engines_maps(engines_page, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    names, (three, three_map, babylon, babylon_map) = {}, engines_page
-    exec(three, names)
-    own = np.asarray(names["technique"].prepare(names["scene"]).depth)
-    assert own.min() < 0.9
-    np.save("three_map.npy", own)
-    exec(three_map, names)
-    np.testing.assert_array_equal(names["visibility_in_three_js"], names["visibility"])
-    assert 0 < np.mean(names["visibility"]) < 1
-    exec(babylon, names)
-    depth = np.asarray(names["technique"].prepare(names["scene"]).depth)
-    near, far, bias = 0.8, 7.0, 0.004
-    # (d - n) / (f - n) at the distance d = f n / (f - z (f - n)), pushed by the bias.
-    distance = far * near / (far - depth * (far - near))
-    np.save("babylon_map.npy", np.where(depth < 1, (distance - near) / (far - near) + bias, 1))
-    exec(babylon_map, names)
-    off = np.abs(np.asarray(names["visibility_in_babylon_js"]) - names["visibility"])
-    assert (off < 1 / 255).mean() > 0.999
-    assert 0 < np.mean(names["visibility"]) < 1
 
 
 # Runs the command, and tells the most memory it held; the kernel's figure for children would count a forked parent's.

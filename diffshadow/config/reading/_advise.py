@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 
+from ...settings.engines import Engine, EngineName
 from ...settings.techniques import Mapped
 from .._errors import ConfigError, KeyPath, Mistake, Origin
 from ..sections._advise import LISTS, PARAMETERS, AdviseConfig, keys_set
@@ -43,11 +44,13 @@ class Advice(NamedTuple):
     """The fits of a recommendation.
 
     - `sweep`: a fit for each technique; `techniques`: these, in the same order.
+    - `engine`: whose techniques these are, if they are an engine's.
     """
 
     settings: AdviseConfig
     sweep: Sweep
     techniques: tuple[AdvisedTechnique, ...]
+    engine: EngineName | None = None
 
 
 def load_advice(
@@ -91,11 +94,14 @@ def _settings_of(draft: Draft) -> AdviseConfig:
         message = "makes this file a sweep; expected one without; override sweep=null"
         mistakes.append(Mistake(draft.origin.place(("sweep",)), "sweep", message))
     technique = TECHNIQUES.of(draft.data.get("technique"))
-    if not issubclass(technique, Mapped):
+    # The default lists are of shadow maps.
+    has_lists = all(value_at(draft.data, "advise", name) is not None for name in LISTS)
+    if not issubclass(technique, Mapped) and not (issubclass(technique, Engine) and has_lists):
         path = ("technique", "type")
+        mend = f"add --engine {type_of(technique)}, or change it" if issubclass(technique, Engine) else "change it"
         message = (
             f"is {type_of(technique)}, and advise compares biases and filters of shadow maps; expected a technique "
-            "that has these, such as shadow_map; change it"
+            f"that has these, such as shadow_map; {mend}"
         )
         mistakes.append(Mistake(draft.origin.place(path), ".".join(path), message))
     for kind in ("views", "validation"):

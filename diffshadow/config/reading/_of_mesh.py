@@ -52,6 +52,11 @@ def scene_of_mesh(file: Path) -> MeshScene:
         notes.append(
             "z is taken as up, since the mesh lies flat across z; if y is, set scene.meshes.0.rotate=[0, 0, 0]"
         )
+    elif is_gltf and geometry.stands_on_z(corners):
+        notes.append(
+            "y is taken as up, as glTF says, and the mesh has a flat foot across z; if z is up, set "
+            "'scene.meshes.0.rotate=[-90, 0, 0]'"
+        )
     if is_gltf and (left_out := _left_out(file)):
         notes.append(f"the file's {left_out} are not taken; to take them: diffshadow import {file}")
     side = float((corners.max(axis=(0, 1)) - corners.min(axis=(0, 1))).max())

@@ -14,11 +14,19 @@ from .._receiver import Receiver
 from ._abstract import AbstractBias, BiasTerms
 from ._features import FEATURES
 
+_FEATURE_OF: dict[OffsetProfile, str] = {
+    "sine": "sine",
+    "constant": "one",
+    "one_minus_cosine": "one_minus_cosine",
+    "across": "one_minus_cosine",
+}
+
 
 class NormalOffset(AbstractBias):
     """Moves the look-up along the normal, by `value` texels times a profile of the angle θ to the light.
 
-    - `profile`: `"sine"` sin θ, `"constant"` 1, or `"one_minus_cosine"` 1 - cos θ.
+    - `profile`: `"sine"` sin θ, `"constant"` 1, `"one_minus_cosine"` 1 - cos θ, or `"across"`: 1 - cos θ, and only the
+        part of the shift across the light, as in Godot. Exact under directional lights, close under others.
     """
 
     settings: ClassVar = Settings
@@ -33,6 +41,9 @@ class NormalOffset(AbstractBias):
         return 0.0 if known is None else float(np.max(known))
 
     def __call__(self, receiver: Receiver) -> BiasTerms:
-        profile = FEATURES["one" if self.profile == "constant" else self.profile].of(receiver)
-        length = self.value * receiver.texel_size * profile
-        return BiasTerms(jnp.zeros_like(length), receiver.normal * length[..., None])
+        texels = self.value * FEATURES[_FEATURE_OF[self.profile]].of(receiver)
+        moved = receiver.normal * (texels * receiver.texel_size)[..., None]
+        if self.profile != "across":
+            return BiasTerms(jnp.zeros_like(texels), moved)
+        # The part towards the light is taken back.
+        return BiasTerms(-texels * jnp.clip(receiver.cosine, 0, 1) * receiver.depth_per_texel, moved)

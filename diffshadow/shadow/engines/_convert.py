@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from ..._types import Resolution
 from ...geometry import AbstractLight, PointLight
+from ...settings.scene import LightKind
 from ..biases import OffsetProfile
 from ._abstract import engine_light
 from ._light import NO_NUDGE
@@ -33,7 +34,9 @@ class _Common(NamedTuple):
     """What the formulas share: the shift b and a texel's width t in world units, the normal offset m in texels, near n,
     far f, the range D = f - n, and the distance d along the light's axis.
 
-    - `power`: of the distance with which b grows; None under a directional light, where nothing varies with distance.
+    - `power`, `offset_power`: of the distance, with which b and m t grow; None under a directional light, where nothing
+        varies with distance.
+    - `softness`: by which Godot and Unity multiply what is set.
     """
 
     b: float
@@ -43,6 +46,8 @@ class _Common(NamedTuple):
     f: float
     d: float
     power: int | None
+    offset_power: int | None
+    softness: float
 
     @property
     def depth(self) -> float:
@@ -58,8 +63,38 @@ class _Common(NamedTuple):
         return note if self.power in (None, power) or self.b == 0 else f"{note}; {_AT}"
 
     def offset(self, note: str, power: int) -> str:
-        """`note` for a setting whose normal offset grows with `power` of the distance, as texels do with the first."""
-        return note if self.power is None or power == 1 or self.m == 0 else f"{note}; {_AT}"
+        """`note` for a setting whose normal offset grows with `power` of the distance."""
+        return note if self.offset_power in (None, power) or self.m == 0 else f"{note}; {_AT}"
+
+
+class LightFrame(NamedTuple):
+    """A light's camera, at the distance d along its axis.
+
+    - `kind`: `"directional"`, `"spot"` or `"point"`.
+    - `texel`: the width of a texel there; `near`, `far`: of the camera. World units.
+    """
+
+    kind: LightKind
+    texel: float
+    near: float
+    far: float
+
+
+def light_frame(light: AbstractLight, resolution: Resolution, distance: float) -> LightFrame:
+    """The camera of a light of the engines with a map of `resolution`; `distance` is as for `engine_settings`.
+
+    **Raises** what `engine_settings` raises.
+    """
+    light = engine_light(light, NO_NUDGE)
+    if not light.is_directional and not distance > 0:
+        raise ValueError(f"the distance is {distance}; expected world units in front of the light")
+    if isinstance(light, PointLight):
+        return LightFrame("point", 2 * distance / min(resolution), float(light.near), float(light.far))
+    view = light.view()
+    at_unit = math.sqrt(4 / float(view.eye_to_clip[0, 0] * view.eye_to_clip[1, 1]) / math.prod(resolution))
+    texel = at_unit * (distance if view.is_perspective else 1)
+    kind = "spot" if view.is_perspective else "directional"
+    return LightFrame(kind, texel, float(view.near), float(view.far))
 
 
 def engine_settings(
@@ -71,6 +106,8 @@ def engine_settings(
     *,
     profile: OffsetProfile | None = None,
     power: int = 0,
+    offset_power: int = 1,
+    softness: float = 1.0,
 ) -> list[EngineSetting]:
     """A constant bias and a normal offset as the settings of engines, for a light of theirs with the same map.
 
@@ -84,31 +121,23 @@ def engine_settings(
     - `profile`: of the normal offset. Engines with another profile are left out, unless the offset is 0; None takes an
         engine's own profile for the same.
     - `power`: of the distance with which the bias grows: 0 for world units, 1 for texels, 2 for window depth. Notes say
-        which settings grow otherwise.
+        which settings grow otherwise. `offset_power`: the same of the normal offset.
+    - `softness`: how many times the engine applies what is set: Godot, under directional lights, `shadow_blur` times
+        the quality's radius (1 for hard shadows); Unity 1 for hard shadows, and 1.5, 2.5 or 3.5 for soft ones of low,
+        medium or high quality.
 
     **Raises** `ValueError` for a distance that is not positive, and what `engine_light` raises.
     """
-    light = engine_light(light, NO_NUDGE)
-    if not light.is_directional and not distance > 0:
-        raise ValueError(f"the distance is {distance}; expected world units in front of the light")
-    if isinstance(light, PointLight):
-        kind, texel = "point", 2 * distance / min(resolution)
-        near, far = float(light.near), float(light.far)
-    else:
-        view = light.view()
-        kind = "spot" if view.is_perspective else "directional"
-        at_unit = math.sqrt(4 / float(view.eye_to_clip[0, 0] * view.eye_to_clip[1, 1]) / math.prod(resolution))
-        texel = at_unit * (distance if view.is_perspective else 1)
-        near, far = float(view.near), float(view.far)
-    growth = None if kind == "directional" else power
-    common = _Common(bias, texel, normal_offset, near, far, distance, growth)
+    kind, texel, near, far = light_frame(light, resolution, distance)
+    powers = (None, None) if kind == "directional" else (power, offset_power)
+    common = _Common(bias, texel, normal_offset, near, far, distance, *powers, softness)
     of = {"directional": _directional, "spot": _spot, "point": _point}[kind]
     found = [*_three(common, kind), *_babylon(common, kind), *of(common)]
     if profile is None or normal_offset == 0:
         return found
-    # Unity moves nothing along normals under point lights.
-    lacking = {"Unity URP"} if kind == "point" else set()
-    return [each for each in found if _PROFILES[each.engine] == profile and each.engine not in lacking]
+    # Unity moves nothing along normals under point lights, and of Godot only the sun's offset is known.
+    lacking = {"directional": set(), "spot": {"Godot 4"}, "point": {"Godot 4", "Unity URP"}}[kind]
+    return [each for each in found if OFFSET_PROFILES[each.engine] == profile and each.engine not in lacking]
 
 
 _AT = "holds at this distance only"
@@ -116,15 +145,15 @@ _DEPTH = "window depth"
 # Depth from -1 to 1, in which Babylon.js moves the casters of PCF.
 _TWICE = "twice window depth"
 _WORLD = "world units"
-# How an engine's normal offset grows with the angle to the light. Godot's goes across the light.
-_PROFILES: dict[str, OffsetProfile | None] = {
+OFFSET_PROFILES: dict[str, OffsetProfile] = {
     "three.js": "constant",
     "Babylon.js": "sine",
-    "Godot 4": None,
+    "Godot 4": "across",
     "Bevy": "constant",
     "Filament": "sine",
     "Unity URP": "one_minus_cosine",
 }
+"""How each engine's normal offset grows with the angle to the light."""
 
 
 def _three(c: _Common, kind: str) -> list[EngineSetting]:
@@ -150,9 +179,10 @@ def _babylon(c: _Common, kind: str) -> list[EngineSetting]:
 
 
 def _directional(c: _Common) -> list[EngineSetting]:
+    godot = f"for shadow_blur × quality radius {c.softness:.4g}" if c.softness != 1 else "for hard shadows and blur 1"
     return [
-        _read("Godot 4", "shadow_bias", 100 * c.b / c.depth, "for blur 1 and soft filter quality factor 1"),
-        _read("Godot 4", "shadow_normal_bias", c.m, "shifts across the light only"),
+        _read("Godot 4", "shadow_bias", 100 * c.b / c.depth / c.softness, godot),
+        _read("Godot 4", "shadow_normal_bias", c.m, "times 1 - cos θ, across the light only"),
         *_bevy(c),
         _read("Filament", "constantBias", c.b, _WORLD),
         _read("Filament", "normalBias", 2 * c.m, "times sin θ"),
@@ -182,10 +212,11 @@ def _bevy(c: _Common) -> list[EngineSetting]:
 
 
 def _unity(c: _Common, normal: float) -> list[EngineSetting]:
-    note = "hard shadows; more for soft ones"
+    soft = "; hard shadows; more for soft ones" if c.softness == 1 else ""
+    bias, normal = c.b / c.t / c.softness, normal / c.softness
     return [
-        _read("Unity URP", "shadowBias (depth)", c.b / c.t, c.shift(f"texels; {note}", 0)),
-        _read("Unity URP", "shadowNormalBias", normal, c.offset(f"texels, times 1 - cos θ; {note}", 0)),
+        _read("Unity URP", "shadowBias (depth)", bias, c.shift(f"texels{soft}", 0)),
+        _read("Unity URP", "shadowNormalBias", normal, c.offset(f"texels, times 1 - cos θ{soft}", 0)),
     ]
 
 

@@ -5,6 +5,7 @@ Godot 4, Bevy, Filament and Unity are read from their sources and documentation,
 """
 
 import math
+from typing import NamedTuple
 
 from ...geometry import AbstractLight, PointLight
 from ._abstract import engine_light
@@ -12,10 +13,27 @@ from ._babylon_taps import POISSON
 from ._convert import EngineSetting
 from ._light import NO_NUDGE
 
-# Texels of a disk per unit of blurScale. A disk's mean square distance is half the square of its radius.
-_POISSON = math.sqrt(2 * sum(x * x + y * y for x, y in POISSON) / len(POISSON))
+# A disk's mean square distance is half the square of its radius.
+POISSON_RADIUS = math.sqrt(2 * sum(x * x + y * y for x, y in POISSON) / len(POISSON))
+"""Texels of a disk per unit of Babylon.js' blurScale."""
+
+
+class GodotQuality(NamedTuple):
+    """A quality of Godot's soft shadows: the taps of its disk, and its radius in texels at shadow_blur 1."""
+
+    taps: int
+    radius: float
+
+
+GODOT_QUALITIES = {
+    "SOFT_LOW": GodotQuality(4, 2.0),
+    "SOFT_MEDIUM": GodotQuality(8, 2.0),
+    "SOFT_HIGH": GodotQuality(16, 3.0),
+    "SOFT_ULTRA": GodotQuality(32, 4.0),
+}
+"""`RenderingServer.SHADOW_QUALITY_…`."""
 # Texels of a disk per unit of shadow_blur at the default quality, Soft Low.
-_SOFT_LOW = 2.0
+_SOFT_LOW = GODOT_QUALITIES["SOFT_LOW"].radius
 _SIZES = "its kernels have fixed sizes"
 
 
@@ -35,7 +53,7 @@ def radius_settings(light: AbstractLight, radius: float) -> list[EngineSetting]:
     light = engine_light(light, NO_NUDGE)
     is_point = isinstance(light, PointLight)
     # Under a point light, a unit is half a texel at the centre of a face.
-    three, poisson = (2 * radius, radius) if is_point else (radius, radius / _POISSON)
+    three, poisson = (2 * radius, radius) if is_point else (radius, radius / POISSON_RADIUS)
     godot = "for the filter quality Soft Low, and a light without size"
     if light.is_directional and radius > 0:
         godot += f"; divide shadow_bias by {_SOFT_LOW:g} × shadow_blur"

@@ -1,5 +1,6 @@
 """Runs a recommendation: fits techniques, times them, and recommends one."""
 
+import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,9 +18,11 @@ from ..files._stored import ADVISE
 from ..pages import _table as table
 from ..runs._progress import counting
 from ..runs._record import write_yaml
+from ..sweeps._pace import Pace
 from ..sweeps._run import counts_of, doing, failures, print_plan, record_of, write_record
 from ..sweeps._work import FITTED, OK, VALIDATION
 from ._candidates import Candidate, front, ranked, recommended
+from ._engines import code_file, engine_code, title_of
 from ._measure import LeastBias, least_bias_for, measure_times, single_bias, steps_of, unexplained_by
 from ._report import report_advice
 from ._special_cases import as_special_case
@@ -42,18 +45,19 @@ class _Fitted(NamedTuple):
 
 def run_advise(advice: Advice, *, console: Console, scheduler: str | None = None, workers: int | None = None) -> Path:
     """Fits every technique of `advice` that is not fitted yet, times all of them in turns, prints a ranking and a
-    verdict, and writes a page and the recommended configuration.
+    verdict, and writes a page and the recommended configuration. For an engine, it ends with the code to paste.
 
     Fits are done as in `run_sweep`, whose arguments and errors these are. Techniques are timed once all are fitted, in
     this process; what was measured is kept.
 
-    **Returns** the folder, `<output>/<name>-advise`.
+    **Returns** the folder, `<output>/<name>-advise`, for an engine `<output>/<name>-advise-<engine>`.
 
     **Raises** `ValueError` if no technique can be fitted.
     """
     sweep = advice.sweep
-    folder = folder_of(sweep.runs[0].config, SUFFIX).absolute()
-    with doing(folder, sweep, ADVISE, console, scheduler, workers) as (tables, _):
+    folder = folder_of(sweep.runs[0].config, _suffix(advice)).absolute()
+    pace = Pace(console, "fits", "; then they are timed")
+    with doing(folder, sweep, ADVISE, console, scheduler, workers, pace=pace) as (tables, _):
         problems = list(failures(tables.results))
         fitted = [
             _Fitted(i, row, with_fitted(sweep.runs[i].config, _values(row)))
@@ -76,20 +80,41 @@ def run_advise(advice: Advice, *, console: Console, scheduler: str | None = None
         )
         best = next(each.config for each in fitted if each.row["id"] == chosen.id)
         problems = [*unexplained_by(best), *problems]
+        code = _code(folder, advice, chosen, best)
         named = best.model_copy(update={"name": sweep.name}).named_with("-recommended")
         with io.atomic_path(folder / RECOMMENDED) as temporary:
             write_yaml(temporary, named)
-        write_record(folder, record_of(sweep, ADVISE, counts_of(tables.results)) | {"advice": _record(found, problems)})
+        whole = record_of(sweep, ADVISE, counts_of(tables.results))
+        if advice.engine is not None:
+            whole |= {"command": shlex.join([*shlex.split(whole["command"]), "--engine", advice.engine])}
+        write_record(folder, whole | {"advice": _record(found, problems) | {"engine": advice.engine, "code": code}})
         report_advice(folder)
     table.print_lines(console, problems, warn=True)
     _print(console, sweep.name, found)
     table.print_lines(console, [f"the recommended configuration is in {RECOMMENDED}"])
+    for key, text in code.items():
+        assert advice.engine is not None
+        table.print_code(console, f"{title_of(advice.engine)}, {key}:", text)
     return folder
 
 
 def print_advise_plan(console: Console, advice: Advice) -> None:
     """Prints which fits `run_advise` would do. Writes no files."""
-    print_plan(console, advice.sweep, suffix=SUFFIX)
+    print_plan(console, advice.sweep, suffix=_suffix(advice))
+
+
+def _suffix(advice: Advice) -> str:
+    return SUFFIX if advice.engine is None else f"{SUFFIX}-{advice.engine}"
+
+
+def _code(folder: Path, advice: Advice, chosen: Candidate, best: Config) -> dict[str, str]:
+    """Writes the code for the engine that the advice is for, if it is for one. **Returns** it for each light."""
+    if advice.engine is None:
+        return {}
+    code = engine_code(advice.engine, best, chosen.filter)
+    with io.atomic_path(folder / code_file(advice.engine)) as temporary:
+        temporary.write_text("\n".join(code.values()), encoding="utf-8")
+    return code
 
 
 def _at_best(one: _Fitted, others: Sequence[_Fitted]) -> _Fitted:

@@ -21,6 +21,8 @@ from ._times import Load, Times, Watch, times_of, unevenness_of
 
 # Rounds in which every technique is timed once, in turns: what slows the machine down slows all of them.
 _ROUNDS = 15
+# The biases of engines' techniques.
+_OF_ENGINES = ("technique.bias", "technique.normal_bias")
 # A bias is searched for at these many equal steps, then by halving the step where it is found: to a thousandth in all.
 _STEPS, _HALVINGS = 8, 7
 
@@ -98,11 +100,11 @@ class LeastBias(NamedTuple):
 
 
 def least_bias_for(config: Config, name: str, most: float) -> LeastBias:
-    """How large the bias `name` has to be for a rate of false shadow of at most `most`, up to its upper bound.
+    """How large the bias `name` has to be for a rate of false shadow of at most `most`, up to its bound.
 
-    It is searched for upwards from the value in `config`, by steps and then by bisection. All other numbers stay the
-    same. A larger bias may have more false shadow: a large normal offset does. Errors are over the validation, or over
-    what the fit sees if there is none.
+    It is searched for, away from 0, from the value in `config`, by steps and then by bisection. All other numbers stay
+    the same. A larger bias may have more false shadow: a large normal offset does. Errors are over the validation, or
+    over what the fit sees if there is none.
 
     **Arguments:**
 
@@ -113,7 +115,9 @@ def least_bias_for(config: Config, name: str, most: float) -> LeastBias:
     technique = build_technique(config, fitting=False)
     views = draw_views(config, load(config, stages), technique, stages)
     drawn = [each for view in views.validation or views.fitted for each in view.drawn]
-    path, low, high = fit_paths(config)[name], config.initial(name), config.fit.parameters[name].upper
+    bounds = config.fit.parameters[name]
+    # three.js' bias is negative.
+    path, low, high = fit_paths(config)[name], config.initial(name), bounds.upper if bounds.upper > 0 else bounds.lower
 
     def at(value: float) -> LeastBias:
         changed: Any = fit.with_values(technique, [path], as_float([value]))  # type: ignore[arg-type]
@@ -142,5 +146,5 @@ def least_bias_for(config: Config, name: str, most: float) -> LeastBias:
 
 def single_bias(values: Mapping[str, float]) -> str | None:
     """The only number of a bias among fitted `values`; `None` if there are several or none."""
-    names = [name for name in values if name.startswith("bias.")]
+    names = [name for name in values if name.startswith("bias.") or name in _OF_ENGINES]
     return names[0] if len(names) == 1 else None

@@ -5,6 +5,7 @@ from typing import Any
 
 from ... import io
 from ...config import RECOMMENDED_FILE as RECOMMENDED
+from ...settings.engines import ENGINES
 from ..files._stored import REPORT, read_result
 from ._candidates import Candidate
 
@@ -45,6 +46,8 @@ def report_advice(folder: Path, form: str | None = None, dpi: int | None = None)
         verdict=advice["verdict"],
         problems=advice["problems"],
         figure=style.inline_svg(draw_front(candidates, chosen), _FIGURE),
+        engine=ENGINES.get(advice["engine"]),
+        code={key: lines_of(text) for key, text in advice["code"].items()},
         recommended=lines_of((folder / RECOMMENDED).read_text(encoding="utf-8", errors="backslashreplace")),
         file=RECOMMENDED,
         machine=versions.get("processor", "an unknown processor"),

@@ -14,6 +14,7 @@ from pydantic_core import PydanticCustomError, from_json
 
 from ... import io
 from ...config import SweepConfig
+from ...settings.engines import EngineName
 from ...settings.quantities import MAX_TEXELS
 
 # Far more than any run writes.
@@ -375,6 +376,10 @@ class _Candidate(_Part):
 
 
 class _Advice(_Part):
+    """`engine`, `code`: of advice for an engine, which it is, and its code for each light."""
+
+    engine: EngineName | None = None
+    code: dict[str, str] = {}
     over: str
     noise: Fraction | None
     within: Fraction

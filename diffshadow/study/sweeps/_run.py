@@ -25,6 +25,7 @@ from ..pages import _table as table
 from ..runs import _record as record
 from ..runs._progress import counting
 from ._curves import Curve, columns_for, curves_of
+from ._pace import Pace
 from ._pool import pool
 from ._report import report_sweep
 from ._table import MISSING, RESULTS, Tables, gather, metric_columns, write_tables
@@ -93,12 +94,14 @@ def doing(
     scheduler: str | None,
     workers: int | None,
     limit: int | None = None,
+    pace: Pace | None = None,
 ) -> Iterator[tuple[Tables, int]]:
     """Does the missing runs of `sweep` in `folder`, and writes its tables, like `run_sweep`.
 
     **Arguments:**
 
     - `kind`: what the folder is: a sweep, or what is made of one.
+    - `pace`: says how long the runs take.
 
     **Yields** the tables, and the number of runs that were tried now. Until the end of the block, no other process can
     do the sweep.
@@ -110,7 +113,7 @@ def doing(
             todo = missing_runs(sweep, folder, progress)[:limit]
         if todo:
             try:
-                _work(folder, sweep, todo, console, scheduler, workers)
+                _work(folder, sweep, todo, console, scheduler, workers, pace)
             finally:
                 # Drafts of workers that have died.
                 _remove_drafts(folder)
@@ -231,6 +234,7 @@ def _work(
     console: Console,
     scheduler: str | None,
     workers: int | None,
+    pace: Pace | None,
 ) -> None:
     """Does the runs with the indices `todo`."""
     failed = 0
@@ -240,10 +244,14 @@ def _work(
         counting(console, sweep.name, len(todo)) as progress,
         pool(scheduler, workers, useful) as where,
     ):
+        if pace is not None:
+            pace.begin(len(todo), where.workers)
         outcomes = where.outcomes(_batches(folder, sweep, todo, where.workers))
         for done, outcome in enumerate(outcomes, start=1):
             failed += outcome.status == FAILED
             progress(done, f"{failed} failed" if failed else "")
+            if pace is not None:
+                pace.done(done, outcome.seconds)
 
 
 def _batches(folder: Path, sweep: Sweep, todo: Sequence[int], workers: int) -> Iterator[Batch]:

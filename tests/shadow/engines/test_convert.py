@@ -5,7 +5,7 @@ import math
 import pytest
 
 from diffshadow.geometry import DirectionalLight, PointLight, SpotLight
-from diffshadow.shadow import engine_settings, radius_settings
+from diffshadow.shadow import BabylonJs, ThreeJs, castano_radius, engine_settings, plain_bias, radius_settings
 
 # Windows that are not square: texels are as large as in one of 4 by 4 world units, of the spot light at distance 2.
 SUN = DirectionalLight((0.3, -1.0, -0.2), (0.5, 1, 0), (2.0, 8.0), -3.0, 5.0)
@@ -70,6 +70,8 @@ def test_engines_with_another_normal_bias_are_left_out():
     assert of(SUN, "constant") == {"three.js", "Bevy"}
     assert of(SUN, "sine") == {"Babylon.js", "Filament"}
     assert of(SUN, "one_minus_cosine") == {"Unity URP"}
+    assert of(SUN, "across") == {"Godot 4"}
+    assert of(SPOT, "across") == set()
     assert of(LAMP, "one_minus_cosine") == set()
     assert of(SUN, "sine", 0.0) == of(SUN, None) == {each for each, _ in values(SUN)}
 
@@ -118,3 +120,51 @@ def test_a_suns_bias_is_window_depth_in_every_unit():
     assert notes["three.js", "light.shadow.bias"] == "window depth"
     assert notes["Babylon.js", "generator.bias (PCF)"] == "twice window depth"
     assert notes["Babylon.js", "generator.bias (NONE, POISSON, ESM)"] == "window depth"
+
+
+@pytest.mark.parametrize("light", [SUN, SPOT, LAMP])
+@pytest.mark.parametrize(
+    ("technique", "engine", "bias", "power"),
+    [
+        (ThreeJs, "three.js", "light.shadow.bias", 2),
+        (BabylonJs, "Babylon.js", "generator.bias (NONE, POISSON, ESM)", 0),
+        (lambda **given: BabylonJs(filter="PCF", **given), "Babylon.js", "generator.bias (PCF)", 2),
+    ],
+)
+def test_an_engines_settings_amount_to_what_they_were_made_of(light, technique, engine, bias, power):
+    offset = "light.shadow.normalBias" if engine == "three.js" else "generator.normalBias"
+    given = values(light)
+    made = technique(bias=given[engine, bias], normal_bias=given[engine, offset], resolution=SIZE)
+    found = plain_bias(made, light, 2.0)
+    assert (found.shift, found.offset) == pytest.approx((SHIFT, TEXELS), rel=1e-5)
+    # Under a point light, PCF is drawn as POISSON.
+    assert found.power == (0 if engine == "Babylon.js" and light is LAMP else power)
+
+
+def test_an_engines_filter_is_as_wide_as_the_radius_that_it_was_made_of():
+    for light in (SUN, LAMP):
+        made = {each.engine: each.value for each in radius_settings(light, 3.0) if each.value is not None}
+        taken = (
+            ThreeJs(radius=made["three.js"], resolution=SIZE),
+            BabylonJs(filter="POISSONSAMPLING", blur_scale=made["Babylon.js"], resolution=SIZE),
+        )
+        for technique in taken:
+            assert plain_bias(technique, light, 2.0).radius == pytest.approx(3.0, rel=1e-5)
+    fixed = {quality: BabylonJs(filter="PCF", quality=quality, resolution=SIZE) for quality in ("LOW", "HIGH")}
+    assert [plain_bias(each, SUN, 2.0).radius for each in fixed.values()] == [0, castano_radius(5)]
+    # (1, 3, 4, 3, 1) has the variance 14 / 12, and a disk a quarter of its radius squared.
+    assert castano_radius(5) == pytest.approx(2 * math.sqrt(14 / 12))
+    assert plain_bias(BabylonJs(filter="PCSS", resolution=SIZE), SUN, 2.0).radius is None
+
+
+def test_soft_filters_of_godot_and_unity_apply_a_bias_several_times():
+    hard = {(each.engine, each.setting): each.value for each in engine_settings(SUN, SIZE, SHIFT, TEXELS, 2.0)}
+    soft = {
+        (each.engine, each.setting): each.value for each in engine_settings(SUN, SIZE, SHIFT, TEXELS, 2.0, softness=2.5)
+    }
+    changed = {key: hard[key] / soft[key] for key in hard if hard[key] != soft[key]}
+    assert changed == pytest.approx(
+        dict.fromkeys(
+            [("Godot 4", "shadow_bias"), ("Unity URP", "shadowBias (depth)"), ("Unity URP", "shadowNormalBias")], 2.5
+        )
+    )

@@ -1,0 +1,122 @@
+"""Pages as readers have them: with enough contrast in both themes, named controls, and no number cut off."""
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+from scenes import staying_in
+
+from diffshadow import study
+from diffshadow.config import load_config, load_sweep
+
+ROOT = Path(__file__).parent.parent
+ENGINES = ROOT / "experiments" / "engines"
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
+QUIET = Console(quiet=True)
+
+pytestmark = [pytest.mark.browser, pytest.mark.exhaustive]
+
+TINY = """
+scene:
+  meshes:
+    - {path: builtin:box, size: 0.6, drop_to_ground: true, translate: [0, 0.2, 0]}
+    - {path: builtin:plane, options: {size: 3}}
+  camera: {resolution: [64, 64], orbit: {distance: 4}}
+  light: {angular_radius: 1.5}
+shadow_map: {resolution: [64, 64]}
+bias: {constant: 0.5, slope: 0}
+filter: {type: random_disk, samples: 4}
+reference: {samples: 4}
+fit:
+  parameters: {bias.constant: {lower: 0, upper: 8}, filter.radius: {lower: 0, upper: 8}}
+  solver: {max_steps: 4}
+  anneal: {phases: 1}
+"""
+ENGINE = (
+    "name=engine",
+    "technique={type: three.js, shadow_side: double, bias: -0.001}",
+    "fit.parameters={technique.bias: {lower: -0.05, upper: 0}, technique.radius: {lower: 0, upper: 6}}",
+)
+SURE = ("name=sure", "fit.intervals=[0.05]", "fit.front=3", "fit.validation={grid: {scene.light.azimuth: [30, 60]}}")
+SWEEP = "sweep={grid: {bias.constant: [0, 1], filter.samples: [4, 8]}, plot: {x: filter.samples, y: rmse}}"
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory):
+    """A page of each kind."""
+    with staying_in(tmp_path_factory.mktemp("pages")):
+        Path("tiny.yaml").write_text(TINY)
+        load = lambda *overrides: load_config("tiny.yaml", overrides, fitting=True)
+        fit, engine, sure = (study.run_fit(load(*each), console=QUIET) for each in ((), ENGINE, SURE))
+        render = study.run_render(load(), console=QUIET, debug=True)
+        sweep = study.run_sweep(load_sweep("tiny.yaml", [SWEEP]), console=QUIET, workers=0)
+        advice = study.run_advise(
+            study.engine_advice("tiny.yaml", ["advise={resolutions: [[64, 64]]}"], "bevy", console=QUIET),
+            console=QUIET,
+            workers=0,
+        )
+        compared = study.compare([fit, render], Path("compare.html"), console=QUIET)
+        folders = (fit, engine, sure, render, sweep, advice)
+        return [*(folder.absolute() / "report.html" for folder in folders), compared.absolute()]
+
+
+@pytest.fixture(scope="module")
+def look():
+    """Looks at pages in the browser; skipped where it lacks something."""
+    browser = next((found for name in BROWSERS if (found := shutil.which(name))), None)
+    there = {name: (ENGINES / "node_modules" / name).is_dir() for name in ("playwright-core", "axe-core")}
+    lacking = [
+        name for name, found in {"node": shutil.which("node"), "chromium": browser, **there}.items() if not found
+    ]
+    if lacking:
+        pytest.skip(
+            f"needs {', '.join(lacking)}: `apt-get install nodejs npm chromium` and "
+            f"`npm install --no-package-lock --prefix {ENGINES}`"
+        )
+
+    def looked(*pages):
+        command = ["node", str(ROOT / "tests" / "read_pages.mjs"), str(ENGINES), str(browser), *map(str, pages)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+        assert done.returncode == 0, done.stderr
+        return json.loads(done.stdout)
+
+    return looked
+
+
+@pytest.fixture(scope="module")
+def seen(look, pages):
+    """What the browser finds on the pages."""
+    return look(*pages)
+
+
+def test_pages_are_accessible_in_both_themes(seen):
+    assert seen["violations"] == []
+
+
+def test_no_page_scrolls_sideways_and_no_number_is_cut_off(seen):
+    assert seen["wide"] == []
+    assert seen["clipped"] == []
+
+
+def test_buttons_copy_the_text_beside_them(seen, pages):
+    assert [each["file"] for each in seen["copies"]] == [str(page) for page in pages]
+    for each in seen["copies"]:
+        assert each["copied"] == each["text"] != ""
+
+
+BAD = """<!DOCTYPE html><html lang="en"><head><title>Bad</title></head><body><main><h1>Bad</h1>
+<p style="color: #aaa; background: #fff">Pale</p><input type="text"><div class="number" style="width: 900px">12</div>
+<div class="code"><pre>this</pre>
+<button class="copy" onclick="navigator.clipboard.writeText('that'); textContent = 'Copied'">Copy</button></div>
+</main></body></html>"""
+
+
+def test_what_readers_could_not_use_is_found(look, tmp_path):
+    (tmp_path / "bad.html").write_text(BAD)
+    found = look(tmp_path / "bad.html")
+    assert {each["id"] for each in found["violations"]} == {"color-contrast", "label"}
+    assert {each["width"] for each in found["wide"]} == {each["width"] for each in found["clipped"]} == {360, 800}
+    assert [(each["text"], each["copied"]) for each in found["copies"]] == [("this", "that")]
