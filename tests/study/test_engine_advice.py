@@ -230,4 +230,4 @@ def test_advice_for_an_engine_renders_with_the_error_that_it_was_ranked_by(engin
     chosen = next(each for each in stored["candidates"] if each["id"] == stored["recommended"])
     errors = json.loads((rendered / "result.json").read_text())["metrics"]["errors"]
     assert errors["rmse"] == pytest.approx(chosen["rmse"], abs=2e-5)
-    assert chosen["rmse"] < 0.5 * max(each["rmse"] for each in stored["candidates"])
+    assert chosen["rmse"] < 0.6 * max(each["rmse"] for each in stored["candidates"])
