@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from .. import metrics, shadow
+from .. import geometry, metrics, shadow
 from .._types import HostArray
 from ..reference import Reference
 from ..study import difference_colours, marked, on_surface, tinted
@@ -30,7 +30,8 @@ def views_of(frame: Frame) -> list[View]:
     has_map = isinstance(state, shadow.ShadowMap | shadow.EngineMap)
     has = {
         "shadow map": has_map,
-        "light's view": has_map and np.ndim(frame.lights[frame.light].view().world_to_eye) == 2,
+        # A point light has six.
+        "light's view": has_map and not isinstance(frame.lights[frame.light], geometry.PointLight),
         "layers of the map": _layers(frame) is not None,
     }
     every: list[View] = [*_PLAIN, *OF_TRUTH]

@@ -115,7 +115,7 @@ class Frame:
 
     def state_key(self, light: int) -> Hashable:
         """What the state of a light depends on."""
-        laid_out = tuple(value for name, value in self.numbers.items() if self.subject.lays_out(name))
+        laid_out = tuple(self.numbers[name] for name in self.subject.laid_out)
         camera = self._camera if self.subject.follows_camera else ""
         return self._meshes, self._lights[light], self.subject.map_key, laid_out, camera
 

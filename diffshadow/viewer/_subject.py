@@ -42,6 +42,7 @@ class Subject:
 
     - `config`: with its camera and its lights given by numbers that controls can change.
     - `technique`: whose numbers may have any value that their sliders allow.
+    - `laid_out`: the names of the technique's numbers for which its map has to be drawn again.
     - `follows_camera`: whether the map is laid out for the camera.
     - `map_key`, `key`: what tells its maps, and its visibility, from other subjects'.
     - `reference`: the section of the reference, traced.
@@ -63,6 +64,7 @@ class Subject:
         # Others have no bias and no filter.
         self.sliders = {key: each for key, each in self.sliders.items() if not each.is_fittable or key in paths}
         self._paths = {name: path for name, path in paths.items() if name in self.sliders}
+        self.laid_out = [name for name, path in self._paths.items() if self.technique.lays_out(path)]
         layout = getattr(self.technique, "layout", None)
         self.follows_camera = layout is not None and not isinstance(layout, shadow.SingleMap)
         self.map_key = repr((config.technique, config.shadow_map, getattr(layout, "margin", None)))
@@ -89,10 +91,6 @@ class Subject:
         """Its technique with these numbers, which are all that it has."""
         values = as_float(list(numbers.values()))
         return fit.with_values(self.technique, list(self._paths.values()), values)
-
-    def lays_out(self, name: str) -> bool:
-        """Whether a map has to be drawn again for another value of the technique's number `name`."""
-        return self.technique.lays_out(self._paths[name])
 
     @property
     def fitted(self) -> list[str]:
