@@ -1,13 +1,15 @@
 // node drive_page.mjs PACKAGES CHROMIUM ADDRESS: uses a page of `diffshadow view` as a person would.
 //
-// PACKAGES is a folder with playwright-core in its node_modules. Writes JSON: what was seen, by name.
+// PACKAGES is a folder with playwright-core and axe-core in its node_modules. Writes JSON: what was seen, by name.
 
 import { createRequire } from "node:module";
 
 const [packages, executablePath, address] = process.argv.slice(2);
-const { chromium } = createRequire(`${packages}/`)("playwright-core");
+const require = createRequire(`${packages}/`);
+const { chromium } = require("playwright-core");
 const browser = await chromium.launch({ executablePath, args: ["--no-sandbox", "--disable-dev-shm-usage"] });
-const seen = { requests: [], errors: [] };
+const seen = { requests: [], errors: [], violations: [] };
+const RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa"];
 
 const text = (page, id) => page.textContent(`#${id}`);
 // A full picture with figures, of the newest settings.
@@ -91,6 +93,17 @@ try {
     seen.widths.push(await other.evaluate(() => document.documentElement.scrollWidth - innerWidth));
   }
   await other.close();
+
+  // What axe-core finds wrong, in both themes, with all controls shown.
+  for (const colorScheme of ["light", "dark"]) {
+    const judged = await (await browser.newContext({ colorScheme, bypassCSP: true })).newPage();
+    await judged.goto(address);
+    await rest(judged, 0);
+    await judged.$$eval("details", (all) => all.forEach((each) => { each.open = true; }));
+    await judged.addScriptTag({ path: require.resolve("axe-core/axe.min.js") });
+    const { violations } = await judged.evaluate((values) => axe.run({ runOnly: { type: "tag", values } }), RULES);
+    seen.violations.push(...violations.map(({ id, nodes }) => `${colorScheme}: ${id}: ${nodes[0].html}`));
+  }
   seen.lasting = await text(page, "error");
   process.stdout.write(JSON.stringify(seen));
 } finally {

@@ -25,8 +25,9 @@ pytestmark = [pytest.mark.browser, pytest.mark.exhaustive]
 @pytest.fixture
 def browser():
     found = next(filter(None, map(shutil.which, BROWSERS)), None)
-    if found is None or not (ENGINES / "node_modules" / "playwright-core").is_dir() or shutil.which("node") is None:
-        pytest.skip("Chromium, node or playwright-core is missing; see experiments/engines")
+    has = all((ENGINES / "node_modules" / name).is_dir() for name in ("playwright-core", "axe-core"))
+    if found is None or not has or shutil.which("node") is None:
+        pytest.skip("Chromium, node, playwright-core or axe-core is missing; see experiments/engines")
     return found
 
 
@@ -67,6 +68,7 @@ def test_a_person_finds_acne_turns_the_light_fits_and_keeps_what_was_found(brows
     assert f"bias.constant={seen['fitted']:.3f}"[:18] in seen["command"]
     assert seen["shared"] == pytest.approx(seen["fitted"], rel=1e-5)
     assert seen["widths"] == [0, 0, 0]
+    assert seen["violations"] == []
     process.send_signal(signal.SIGINT)
     began = time.monotonic()
     assert process.wait(SECONDS) == 0
