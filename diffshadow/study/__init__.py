@@ -12,6 +12,8 @@ from .runs._fit import run_fit
 from .runs._pose import pose_problems as pose_problems
 from .runs._render import run_render
 from .runs._save import save_fit
+from .runs._shape import shadow_on as shadow_on
+from .runs._shape import shape_problem as shape_problem
 
 __all__ = [
     "compare",

@@ -14,8 +14,8 @@ from diffshadow import geometry
 from diffshadow.fit import ShapePhase, ShapeProblem, ShapeView, check_shape, fit_shape
 from diffshadow.fit import _shape as shapes
 from diffshadow.fit._large_steps import LargeSteps
-from diffshadow.fit.problems._shape import pixels_reached
-from diffshadow.geometry import DirectionalLight, Edges, Mesh, OrthographicCamera, PointLight, split_in_four
+from diffshadow.fit.problems._shape import default_technique, sights
+from diffshadow.geometry import DirectionalLight, Edges, Mesh, OrthographicCamera, PointLight, SpotLight, split_in_four
 from diffshadow.raster import draw_surface
 from diffshadow.shadow import Bilinear, ConstantBias, MapSettings, ShadowMapping
 
@@ -28,6 +28,14 @@ def sphere(radius=0.5, subdivisions=2):
     """A sphere of 162 vertices about the origin."""
     mesh = geometry.library_mesh("sphere", radius=radius, subdivisions=subdivisions)
     return Mesh(np.asarray(mesh.vertices) - [0, radius, 0], mesh.faces)
+
+
+def bumpy_sphere():
+    """A sphere with bumps, turned so that no two outlines coincide."""
+    points = np.asarray(sphere(0.6).vertices, float)
+    points = points @ np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    points = points * (1 + 0.15 * np.sin(4 * points[:, :1] / 0.6 + 1) * np.cos(5 * points[:, 1:2] / 0.6))
+    return Mesh(points, sphere().faces)
 
 
 def wall(way, away=2.0, size=2.0, side=SIDE):
@@ -107,10 +115,10 @@ def kinds(given):
     return tree, [(leaf.shape, leaf.dtype) if hasattr(leaf, "shape") else leaf for leaf in leaves]
 
 
-def STUB(vertices, faces, edges, groups, technique, blur, crossings):
+def STUB(vertices, faces, edges, groups, poses, technique, blur, crossings):
     """An evaluation that pulls all vertices inwards."""
     images: Any = [np.zeros(group.reference.shape) for group in groups]
-    found: Any = np.sum(np.square(vertices)), 2 * np.asarray(vertices), images, np.asarray(9)
+    found: Any = np.sum(np.square(vertices)), 2 * np.asarray(vertices), poses, images, np.asarray(9)
     return shapes.Evaluation(*found)
 
 
@@ -222,22 +230,21 @@ def test_point_lights_reach_screens_in_every_layer(walls):
     _, surface = walls[0]
     light = PointLight((0.0, 0.0, 0.0), near=0.1, far=9.0)
     group = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], ShapeView(light, surface, ellipse(0.5, 0.5)))
-    (reached,) = pixels_reached([group])
-    assert reached[0] == SIDE * SIDE
+    ((reached, _),) = sights([group])
+    assert reached.all()
 
 
 @pytest.mark.exhaustive
 def test_the_whole_gradient_matches_differences():
     """In double precision, of a bumpy sphere that is turned: mirrored outlines would coincide, which is a kink."""
     with jax.enable_x64(True):
-        points, faces = np.asarray(sphere(0.6).vertices, float), np.asarray(sphere(0.6).faces)
-        points = points @ np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
-        points = points * (1 + 0.15 * np.sin(4 * points[:, :1] / 0.6 + 1) * np.cos(5 * points[:, 1:2] / 0.6))
+        mesh = bumpy_sphere()
+        points, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces)
         seen = [wall(way, side=48) for way in ((0.0, 0.0, -1.0), (-1.0, 0.0, 0.0))]
         views = [ShapeView(*each, ellipse(0.5, 0.45, 48)) for each in seen]
-        fit = shapes._Fit(ShapeProblem(Mesh(points, faces), views), PHASES)
+        fit = shapes._Fit(ShapeProblem(mesh, views), PHASES)
         level = fit._level(points, faces, np.ones(len(points), bool))
-        at = lambda points: fit._program(level, points, 0.0, 1024)
+        at = lambda points: fit._program(level, points, fit.lights.start, 0.0, 1024)
         found, step = np.asarray(at(points).gradient)[: len(points)], 2e-4
         difference = np.zeros_like(found)
         for vertex, axis in zip(*np.nonzero(found), strict=True):
@@ -249,3 +256,48 @@ def test_the_whole_gradient_matches_differences():
     assert moves.sum() > 30
     assert np.quantile(error, 0.9) < 2e-3
     assert np.linalg.norm(difference - found) < 0.03 * np.linalg.norm(difference)
+
+
+@pytest.mark.exhaustive
+def test_the_gradient_by_lights_matches_differences():
+    """By directions and positions, in double precision, of the same shape."""
+    with jax.enable_x64(True):
+        mesh = bumpy_sphere()
+        points = np.asarray(mesh.vertices, float)
+        sun, lamp = wall((0.0, 0.0, -1.0), side=48), wall((-1.0, 0.0, 0.0), side=48)
+        spot = SpotLight((3.0, 0.1, 0.2), (-1.0, 0.02, 0.03), outer_angle=30, near=1.0, far=9.0)
+        views = [ShapeView(*each, ellipse(0.5, 0.45, 48), moves=True) for each in (sun, (spot, lamp[1]))]
+        fit = shapes._Fit(ShapeProblem(mesh, views), PHASES)
+        level, start = fit._level(points, np.asarray(mesh.faces), np.ones(len(points), bool)), fit.lights.start
+        at = lambda degrees: fit._program(level, points, fit.lights.moved(start, degrees), 0.0, 2048)
+        by_lights = at(np.zeros_like(start)).by_lights
+        assert by_lights is not None
+        found, step = fit.lights.in_degrees(by_lights), 2e-3
+        difference = np.array([(at(e * step).loss - at(-e * step).loss) / (2 * step) for e in np.eye(len(start))])
+    assert np.count_nonzero(found) == 2 + 5
+    np.testing.assert_allclose(found, difference, rtol=0.01, atol=0.01 * np.abs(difference).max())
+
+
+@pytest.mark.exhaustive
+def test_a_light_is_found_together_with_the_shape():
+    """Of five suns round a shape, one stands six degrees from where its shadow was drawn."""
+    ways = [(-np.sin(a), 0.0, -np.cos(a)) for a in np.radians([0, 36, 72, 108, 144])]
+    walls = [wall(way) for way in ways]
+    start, truth = sphere(), sphere()
+    truth = Mesh(np.asarray(truth.vertices) * [1.3, 0.9, 0.7], truth.faces)
+    technique = default_technique((SIDE, SIDE))
+    drawn = [technique.map.draw(truth, light, edges=Edges.of(truth)) for light, _ in walls]
+    images = [np.asarray(technique.visibility(each, surface)) for each, (_, surface) in zip(drawn, walls, strict=True)]
+    pose = walls[0][0].pose()
+    off = walls[0][0].at(eqx.tree_at(lambda pose: pose.azimuth, pose, pose.azimuth + 6))
+    lights = [off, *(light for light, _ in walls[1:])]
+    views = [
+        ShapeView(light, surface, image, moves=light is off)
+        for light, (_, surface), image in zip(lights, walls, images, strict=True)
+    ]
+    found = fit_shape(ShapeProblem(start, views), (ShapePhase(10.0, 0.05, 40), ShapePhase(3.0, 0.02, 40)))
+    angle = lambda light: np.degrees(np.arccos(np.clip(np.asarray(light.direction) @ ways[0], -1, 1)))
+    assert angle(off) == pytest.approx(6, abs=0.01)
+    assert angle(found.lights[0]) < 1
+    assert angle(found.lights[1]) == pytest.approx(36, abs=1e-3)
+    assert found.loss < 0.05 * found.initial_loss

@@ -1,5 +1,6 @@
 """Builds a fit of a shape: a screen behind the shape for each light, and the meshes whose shadows fall on it."""
 
+import dataclasses
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Any, NamedTuple
@@ -54,6 +55,7 @@ class ShapePlan(NamedTuple):
     """All that a fit of a shape needs.
 
     - `seen`, `unseen`: the screens of the fit's lights and of those for measuring.
+    - `starts`: for each light of the fit, whether it is fitted too, and the light that the fit starts from.
     - `start`: where the fit starts; `free`: (v,), which of its vertices move; `symmetry`: as for `fit.ShapeProblem`.
     - `targets`: the mesh whose shadow each light should cast; empty if there are images.
     - `truth`: the mesh that casts all of these shadows, if there is one.
@@ -62,6 +64,7 @@ class ShapePlan(NamedTuple):
 
     seen: list[Screen]
     unseen: list[Screen]
+    starts: list[tuple[bool, geometry.AbstractLight]]
     start: geometry.Mesh
     free: Bool[HostArray, " v"]
     symmetry: tuple[float, float, float, float] | None
@@ -105,8 +108,14 @@ def plan_shape(config: Config, blame: Blame) -> ShapePlan:
     phases = [
         fit.ShapePhase(**{key: getattr(phase, key) for key in type(phase).model_fields}) for phase in shape.phases
     ]
+    seen = screens({("scene", *key): light for key, light in config.scene.each_light.items()})
+    rng = np.random.default_rng(config.seed)
     return ShapePlan(
-        seen=screens({("scene", *key): light for key, light in config.scene.each_light.items()}),
+        seen=seen,
+        starts=[
+            (True, _moved_light(screen.light, middle, shape.off, rng)) if i in shape.moves else (False, screen.light)
+            for i, screen in enumerate(seen)
+        ],
         unseen=screens({(*here, "unseen", i): light for i, light in enumerate(shape.unseen)}),
         start=start,
         free=_free(shape, start, blame),
@@ -117,6 +126,25 @@ def plan_shape(config: Config, blame: Blame) -> ShapePlan:
         weights=weights,
         phases=phases,
     )
+
+
+def _moved_light(
+    light: geometry.AbstractLight, middle: Float[HostArray, "3"], degrees: float, rng: np.random.Generator
+) -> geometry.AbstractLight:
+    """A light so many degrees from its place, as seen from the shape's `middle`, in a random direction."""
+    pose, way = light.pose(), rng.normal(size=3)
+    if pose.position is not None:
+        towards = np.asarray(pose.place, np.float64) - middle
+        aside = np.cross(towards, way)
+        turned = np.tan(np.radians(degrees)) * np.linalg.norm(towards) * aside / np.linalg.norm(aside)
+        x, y, z = as_float(middle + towards + turned)
+        pose = dataclasses.replace(pose, position=geometry.Vector(x, y, z))
+    if pose.azimuth is not None and pose.elevation is not None and light.is_directional:
+        along, up = degrees * way[:2] / np.linalg.norm(way[:2])
+        cosine = max(abs(float(np.cos(np.radians(pose.elevation)))), 0.1)
+        azimuth, elevation = pose.azimuth + along / cosine, pose.elevation + up
+        pose = dataclasses.replace(pose, azimuth=azimuth, elevation=elevation)
+    return light.at(pose)
 
 
 def _sphere(casters: geometry.Mesh) -> geometry.Mesh:

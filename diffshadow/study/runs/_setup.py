@@ -3,7 +3,7 @@
 import contextlib
 import dataclasses
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -190,14 +190,20 @@ def _reference(
 def _traced(config: Config, scene: geometry.Scene, stages: Stages) -> reference.Reference:
     traced = config.reference
     assert isinstance(traced, TracedReference)
-    how = traced.how(config.seed)
+    show = lambda done: stages.show("tracing reference", f"{traced.samples} rays per pixel", done)
+    return trace(scene, traced.how(config.seed), show)
 
-    def trace() -> dict[str, HostArray]:
-        show = lambda done: stages.show("tracing reference", f"{traced.samples} rays per pixel", done)
-        found = reference.trace_visibility(scene, **how, progress=show)
+
+def trace(
+    scene: geometry.Scene, how: Mapping[str, Any], progress: Callable[[float], None] | None = None
+) -> reference.Reference:
+    """What `reference.trace_visibility` finds with arguments `how`; read from disk if it was found before."""
+
+    def find() -> dict[str, HostArray]:
+        found = reference.trace_visibility(scene, **how, progress=progress)
         return {field.name: np.asarray(getattr(found, field.name)) for field in dataclasses.fields(found)}
 
-    arrays = io.cached_arrays(reference.key_parts(scene, **how), trace)
+    arrays = io.cached_arrays(reference.key_parts(scene, **how), find)
     return reference.Reference(**{**arrays, "samples": int(arrays["samples"])})  # type: ignore[arg-type]
 
 
