@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from .._arithmetic import as_float
 from .._types import HostArray
-from ..geometry import AbstractLight, LightPose, Vector
+from ..geometry import AbstractLight, LightPose
 from .problems import ShapeView
 
 # Of one degree of azimuth, at least so much is counted near the zenith, where azimuth means nothing.
@@ -45,7 +45,7 @@ class MovingLights(NamedTuple):
             lights.append(group.light)
             starts.append(np.stack([np.asarray(leaf, float) for leaf in leaves], axis=-1) if leaves else moves[:, :0])
             treedefs.append(treedef)
-            units = jax.tree.leaves(_degrees(pose, middle))
+            units = _degrees(pose, middle)
             lengths.append(np.stack([unit * moves for unit in units], axis=-1) if leaves else moves[:, :0])
         return cls(lights, starts, treedefs, lengths)
 
@@ -55,11 +55,11 @@ class MovingLights(NamedTuple):
         return any(length.any() for length in self.lengths)
 
     @property
-    def start(self) -> Float[HostArray, " n"]:
+    def start(self) -> Float[HostArray, " m"]:
         """The numbers of all lights; empty if none moves."""
         return self._flat(self.starts) if self.move else np.zeros(0)
 
-    def poses(self, numbers: Float[HostArray, " n"]) -> list[LightPose] | None:
+    def poses(self, numbers: Float[HostArray, " m"]) -> list[LightPose] | None:
         """The poses of each group's lights; none if no light moves."""
         if not self.move:
             return None
@@ -68,49 +68,45 @@ class MovingLights(NamedTuple):
             for treedef, part in zip(self.treedefs, self._parts(numbers), strict=True)
         ]
 
-    def lights(self, numbers: Float[HostArray, " n"]) -> list[AbstractLight]:
+    def lights(self, numbers: Float[HostArray, " m"]) -> list[AbstractLight]:
         """Each group's lights in their poses."""
         poses = self.poses(numbers)
         return self.groups if poses is None else [_placed(*each) for each in zip(self.groups, poses, strict=True)]
 
-    def in_degrees(self, gradient: Sequence[LightPose]) -> Float[HostArray, " n"]:
+    def in_degrees(self, gradient: Sequence[LightPose]) -> Float[HostArray, " m"]:
         """The gradient by the numbers as one by degrees, 0 for those that stay."""
         parts = [np.stack([np.asarray(leaf, float) for leaf in jax.tree.leaves(pose)], axis=-1) for pose in gradient]
         return self._flat([part * length for part, length in zip(parts, self.lengths, strict=True)])
 
-    def moved(self, numbers: Float[HostArray, " n"], degrees: Float[HostArray, " n"]) -> Float[HostArray, " n"]:
+    def moved(self, numbers: Float[HostArray, " m"], degrees: Float[HostArray, " m"]) -> Float[HostArray, " m"]:
         """The numbers after so many degrees."""
         return numbers + degrees * self._flat(self.lengths)
 
-    def greatest(self, values: Float[HostArray, " n"]) -> Float[HostArray, " n"]:
+    def greatest(self, values: Float[HostArray, " m"]) -> Float[HostArray, " m"]:
         """The greatest value of each light, at each of its numbers."""
         spread = [
             np.broadcast_to(part.max(axis=1, keepdims=True, initial=0), part.shape) for part in self._parts(values)
         ]
         return self._flat(spread)
 
-    def _parts(self, numbers: Float[HostArray, " n"]) -> list[Float[HostArray, "n k"]]:
+    def _parts(self, numbers: Float[HostArray, " m"]) -> list[Float[HostArray, "n k"]]:
         ends = np.cumsum([start.size for start in self.starts])[:-1]
         return [part.reshape(own.shape) for part, own in zip(np.split(numbers, ends), self.starts, strict=True)]
 
-    def _flat(self, parts: Sequence[Float[HostArray, "n k"]]) -> Float[HostArray, " n"]:
+    def _flat(self, parts: Sequence[Float[HostArray, "*nk"]]) -> Float[HostArray, " m"]:
         return np.concatenate([part.reshape(-1) for part in parts])
 
 
-def _degrees(pose: LightPose, middle: Float[HostArray, "3"]) -> LightPose:
-    """How much each number of lights' poses changes in a degree, in a pose. Sizes stay."""
-    position: Any = None
-    azimuth: Any = None
-    elevation: Any = None
+def _degrees(pose: LightPose, middle: Float[HostArray, "3"]) -> list[Float[HostArray, " n"]]:
+    """How much each number of lights' poses, in their order, changes in a degree. Sizes stay."""
+    units = []
     if pose.position is not None:
         places = np.stack([np.asarray(each) for each in (pose.position.x, pose.position.y, pose.position.z)], axis=-1)
-        world = np.radians(np.linalg.norm(places - middle, axis=-1))
-        position = Vector(world, world, world)
+        units += [np.radians(np.linalg.norm(places - middle, axis=-1))] * 3
     if pose.azimuth is not None and pose.elevation is not None:
-        cosine = np.abs(np.cos(np.radians(np.asarray(pose.elevation))))
-        azimuth, elevation = 1 / np.maximum(cosine, _LEAST_COSINE), np.ones_like(cosine)
-    radius: Any = None if pose.radius is None else np.zeros(np.shape(pose.radius))
-    return LightPose(position, azimuth, elevation, radius)
+        cosine = np.abs(np.cos(np.radians(np.asarray(pose.elevation, float))))
+        units += [1 / np.maximum(cosine, _LEAST_COSINE), np.ones_like(cosine)]
+    return units if pose.radius is None else [*units, np.zeros(np.shape(pose.radius))]
 
 
 @eqx.filter_jit

@@ -28,6 +28,7 @@ from ._large_steps import LargeSteps
 from ._moving_lights import MovingLights
 from ._programs import compiled
 from .problems import ShapeProblem, ShapeView, of_one_structure, together
+from .problems._aligned import are_aligned, may_be_aligned
 from .problems._shape import Evaluation, Sight, casts_shadow, crossings_for, evaluate, mirror_partners, mirrored, sights
 
 # Adam's decays of the means of gradients and of their squares (Kingma & Ba 2015).
@@ -235,6 +236,12 @@ class _Fit:
         self.padding = shared_mesh_size(faces, count), shared_size(edges)
         self.more: threading.Thread | None = None
         self.lights = MovingLights.of(self.groups, vertices[np.asarray(problem.free)].mean(axis=0))
+        self.sights = sights(self.groups)
+        fixed = not self.lights.move and may_be_aligned(problem.technique)
+        self.receivers = [
+            sight.receivers if fixed and are_aligned(sight.receivers, problem.technique) else None
+            for sight in self.sights
+        ]
 
     def check(self) -> None:
         """**Raises** what `begin` raises."""
@@ -248,9 +255,9 @@ class _Fit:
 
         **Raises** `ValueError` for a light that reaches no pixel.
         """
-        of_groups = [zip(*map(np.asarray, group), strict=True) for group in sights(self.groups)]
-        found = self._of_views([[Sight(*each) for each in group] for group in of_groups])
-        reached = [bool(np.asarray(sight.reached).any()) for sight in found]
+        numbers = self._of_views([[(sight, i) for i in range(len(sight.reached))] for sight in self.sights])
+        found = [jax.tree.map(lambda leaf, i=i: np.asarray(leaf)[i], sight) for sight, i in numbers]
+        reached = [bool(sight.reached.any()) for sight in found]
         if not all(reached):
             raise ValueError(
                 f"the light of view {reached.index(False)} reaches none of the pixels that count; expected a surface "
@@ -453,7 +460,7 @@ class _Fit:
     ) -> Evaluation:
         (_, count), _ = self.padding
         padded = np.concatenate([vertices, np.broadcast_to(vertices[:1], (count - len(vertices), 3))])
-        views = self.groups, self.lights.poses(lights)
+        views = self.groups, self.receivers, self.lights.poses(lights)
         given = as_float(padded), level.faces, level.edges, *views, self.problem.technique, as_float(blur)
         return compiled(evaluate, (*given, crossings))(*given, crossings)
 

@@ -115,7 +115,7 @@ def kinds(given):
     return tree, [(leaf.shape, leaf.dtype) if hasattr(leaf, "shape") else leaf for leaf in leaves]
 
 
-def STUB(vertices, faces, edges, groups, poses, technique, blur, crossings):
+def STUB(vertices, faces, edges, groups, receivers, poses, technique, blur, crossings):
     """An evaluation that pulls all vertices inwards."""
     images: Any = [np.zeros(group.reference.shape) for group in groups]
     found: Any = np.sum(np.square(vertices)), 2 * np.asarray(vertices), poses, images, np.asarray(9)
@@ -230,8 +230,8 @@ def test_point_lights_reach_screens_in_every_layer(walls):
     _, surface = walls[0]
     light = PointLight((0.0, 0.0, 0.0), near=0.1, far=9.0)
     group = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], ShapeView(light, surface, ellipse(0.5, 0.5)))
-    ((reached, _),) = sights([group])
-    assert reached.all()
+    (sight,) = sights([group])
+    assert sight.reached.all()
 
 
 @pytest.mark.exhaustive

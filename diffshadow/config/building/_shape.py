@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ... import fit, geometry, io
-from ..._arithmetic import as_float
+from ... import fit, geometry, io, raster
+from ..._arithmetic import as_array, as_float, as_int
 from ..._types import HostArray, Resolution
 from ...settings import scene
 from .._errors import KeyPath
@@ -45,6 +45,26 @@ class Screen(NamedTuple):
     light: geometry.AbstractLight
     mesh: geometry.Mesh
     camera: geometry.OrthographicCamera
+
+    def surface(self) -> raster.Surface:
+        """What the camera sees: `raster.draw_surface(self.mesh, self.camera)`, without a compiled program."""
+        camera = self.camera
+        height, width = camera.resolution
+        eye, target, up = (np.asarray(each, np.float64) for each in (camera.eye, camera.target, camera.up))
+        normal = eye - target
+        normal = normal / np.linalg.norm(normal)
+        along = lambda count: ((np.arange(count) + 0.5) / count - 0.5) * float(camera.height)
+        row, column = along(height)[:, None, None], along(width)[:, None] * (width / height)
+        position = as_float(target + row * up + column * np.cross(up, normal))
+        everywhere = lambda value: as_float(np.broadcast_to(value, position.shape))
+        return raster.Surface(
+            position=position,
+            normal=everywhere(normal),
+            interpolated_normal=everywhere(normal),
+            albedo=everywhere(1.0),
+            face=as_int(np.zeros((height, width))),
+            mask=as_array(np.ones((height, width), bool)),
+        )
 
     def scene(self, mesh: geometry.Mesh) -> geometry.Scene:
         """The screen in the shadow of a mesh."""
@@ -252,21 +272,24 @@ def _screen(
         behind = _SCREEN * half / cosine
         centre = middle + behind * way
         upright = _upright(facing, way)
-        wide = extent * (1 + behind / distance) / cosine
+        wide, (height, width) = extent * (1 + behind / distance) / cosine, shape.resolution
+        tall = wide * min(1.0, height / width)
         if position is None:
-            upright_of_map = _upright(way, way)
+            # The map's texels are the image's pixels.
+            size = tall * width / height, tall * cosine
+            slant = tall * np.sqrt(max(1 - cosine**2, 0.0)) / 2
             light = geometry.DirectionalLight(
-                way, middle, (extent, extent), -extent, extent + behind, 0.0, upright_of_map
+                way, middle, size, -extent, behind + extent + slant, 0.0, _upright(way, way)
             )
         across = np.cross(facing, upright)
         u, v = (_WIDER * wide * axis for axis in (across, upright))
         mesh = geometry.Mesh([centre - u - v, centre + u - v, centre + u + v, centre - u + v], [[0, 1, 2], [0, 2, 3]])
-        eye, (height, width) = centre - _CAMERA * half * facing, shape.resolution
+        eye = centre - _CAMERA * half * facing
         camera = geometry.OrthographicCamera(
             as_float(eye),
             as_float(centre),
             as_float(upright),
-            height=wide * min(1.0, height / width),
+            height=tall,
             near=_CAMERA * half / 4,
             far=_CAMERA * half * 2,
             resolution=shape.resolution,

@@ -17,6 +17,7 @@ from ...geometry import AbstractLight, Edges, LightPose, Mesh, as_mesh, share_ve
 from ...raster import Surface
 from ...reference import occluded
 from ...shadow import Bilinear, ConstantBias, MapSettings, ShadowMapping, SingleMap
+from ._aligned import Receivers
 from ._blur import blurred
 from ._pose import cone_fraction
 
@@ -24,7 +25,7 @@ from ._pose import cone_fraction
 _SAME_PLACE = 1e-5
 # Silhouettes cross far fewer sides of texels than this multiple of the map's height and width. Only tangled meshes
 # have more.
-_CROSSINGS_PER_SIDE = 16
+_CROSSINGS_PER_SIDE = 8
 
 
 class ShapeView(eqx.Module):
@@ -45,7 +46,7 @@ class ShapeView(eqx.Module):
     moves: Bool[Array, ""]
 
     def __init__(
-        self, light: AbstractLight, surface: Surface, reference: Any, weight: Any = None, *, moves: bool = False
+        self, light: AbstractLight, surface: Surface, reference: Any, weight: Any = None, *, moves: Any = False
     ):
         """**Arguments:** `weight`: by default 1 for pixels with a surface. Others never count.
 
@@ -75,7 +76,7 @@ class ShapeView(eqx.Module):
             )
         self.light, self.surface = light, surface
         self.reference, self.weight = as_float(image), as_float(own)
-        if moves and not jax.tree.leaves(light.pose()):
+        if np.asarray(moves) and not jax.tree.leaves(light.pose()):
             raise ValueError(
                 f"moves is true for a {type(light).__name__}, whose pose cannot be fitted; expected a directional, "
                 "spot or point light: leave moves out, or change the light"
@@ -205,6 +206,7 @@ def evaluate(
     faces: Faces,
     edges: Edges,
     groups: list[ShapeView],
+    receivers: list[Receivers | None],
     poses: list[LightPose] | None,
     technique: ShadowMapping,
     blur: Scalar,
@@ -216,27 +218,31 @@ def evaluate(
 
     - `groups`: views of one structure, with a leading axis. They are scanned, each with its own reverse pass, so that
         one view's program is compiled for a group, and memory holds one view.
+    - `receivers`: of groups whose pixels are their maps' texels.
     - `poses`: of their lights, with a leading axis too; none if all are where the views have them.
     - `crossings`: for how many crossings of silhouettes with the sides of texels there is memory.
     """
     count = sum(group.reference.shape[0] for group in groups)
 
-    def loss_of(at: tuple[Vertices, LightPose | None], view: ShapeView) -> tuple[Scalar, Any]:
+    def loss_of(
+        at: tuple[Vertices, LightPose | None], view: ShapeView, aligned: Receivers | None
+    ) -> tuple[Scalar, Any]:
         vertices, pose = at
         mesh, light = _mesh(vertices, faces), view.light if pose is None else view.light.at(pose)
         drawn = technique.map.draw(mesh, light, edges=edges, crossings=crossings, raises=False)
-        image = technique.visibility(drawn, view.surface) * cone_fraction(light, view.surface)
+        seen = technique.visibility(drawn, view.surface) if aligned is None else aligned.seen(drawn)
+        image = seen * cone_fraction(light, view.surface)
         difference = blurred((image - view.reference) * jnp.sqrt(view.weight), blur)
         return jnp.sum(difference**2) / (jnp.sum(view.weight) * count), (image, drawn.crossings)
 
-    def add(total: Any, each: tuple[ShapeView, LightPose | None]) -> tuple[Any, Any]:
-        view, pose = each
-        (loss, seen), (gradient, by_light) = jax.value_and_grad(loss_of, has_aux=True)((vertices, pose), view)
+    def add(total: Any, each: tuple[ShapeView, Receivers | None, LightPose | None]) -> tuple[Any, Any]:
+        view, aligned, pose = each
+        (loss, seen), (gradient, by_light) = jax.value_and_grad(loss_of, has_aux=True)((vertices, pose), view, aligned)
         return (total[0] + loss, total[1] + gradient), (*seen, by_light)
 
     total, images, needed, by_lights = (jnp.zeros((), vertices.dtype), jnp.zeros_like(vertices)), [], [], []
-    for group, own in zip(groups, [None] * len(groups) if poses is None else poses, strict=True):
-        total, (image, of_group, by_light) = jax.lax.scan(add, total, (group, own))
+    for group in zip(groups, receivers, [None] * len(groups) if poses is None else poses, strict=True):
+        total, (image, of_group, by_light) = jax.lax.scan(add, total, group)
         images.append(image)
         needed.append(jnp.max(of_group))
         by_lights.append(by_light)
@@ -255,10 +261,12 @@ class Sight(NamedTuple):
 
     - `reached`: (h, w), pixels that count, lie in the light's map, and are turned to it.
     - `towards`: (h, w, 3), vectors to the light.
+    - `receivers`: the pixels in the light's map.
     """
 
     reached: Any
     towards: Any
+    receivers: Receivers
 
 
 @eqx.filter_jit
@@ -271,7 +279,8 @@ def sights(groups: list[ShapeView]) -> list[Sight]:
         clip = view.light.view().facing(view.light.layer(surface.position)).clip(surface.position)
         inside = jnp.all(jnp.abs(clip[..., :3]) <= clip[..., 3:], axis=-1)
         is_turned = jnp.sum(towards * surface.normal, axis=-1) > 0
-        return Sight((view.weight > 0) & surface.mask & inside & is_turned, towards)
+        reached = (view.weight > 0) & surface.mask & inside & is_turned
+        return Sight(reached, towards, Receivers.of(clip, surface.mask, is_turned))
 
     return [jax.lax.map(of_view, group) for group in groups]
 

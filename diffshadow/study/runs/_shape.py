@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from ... import fit, geometry, io, metrics, raster
+from ... import fit, geometry, io, metrics
 from ..._types import HostArray
 from ...config import Config, ConfigError, Mistake, Screen, ShapePlan, build_shape
 from ..files._run_folder import folder_of, write_whole
@@ -86,8 +86,7 @@ def shape_problem(config: Config, stages: Stages | None = None) -> tuple[ShapePl
     try:
         views = []
         for screen, target, weight, (moves, light) in zip(plan.seen, targets, weights, plan.starts, strict=True):
-            surface = raster.draw_surface(screen.mesh, screen.camera)
-            views.append(fit.ShapeView(light, surface, target, weight, moves=moves))
+            views.append(fit.ShapeView(light, screen.surface(), target, weight, moves=moves))
         return plan, fit.ShapeProblem(plan.start, views, free=plan.free, symmetry=plan.symmetry), targets
     except ValueError as error:
         raise _error(config, str(error)) from error
