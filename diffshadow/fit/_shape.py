@@ -36,7 +36,7 @@ _DECAY, _DECAY_OF_SQUARES = 0.9, 0.999
 # The rate at a phase's end, as a fraction of the rate at its start.
 _LAST_RATE = 0.05
 # Once so large a fraction of the memory for crossings is used, a program for more is compiled beside the fit.
-_NEARLY_FULL = 0.6
+_NEARLY_FULL = 0.85
 # A view in whose image no pixel is darker than this sees no shadow.
 _UNSHADOWED = 0.999
 

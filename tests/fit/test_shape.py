@@ -14,10 +14,12 @@ from diffshadow import geometry
 from diffshadow.fit import ShapePhase, ShapeProblem, ShapeView, check_shape, fit_shape
 from diffshadow.fit import _shape as shapes
 from diffshadow.fit._large_steps import LargeSteps
+from diffshadow.fit.problems._aligned import Receivers
 from diffshadow.fit.problems._shape import default_technique, sights
 from diffshadow.geometry import DirectionalLight, Edges, Mesh, OrthographicCamera, PointLight, SpotLight, split_in_four
 from diffshadow.raster import draw_surface
-from diffshadow.shadow import Bilinear, ConstantBias, MapSettings, ShadowMapping
+from diffshadow.shadow import Bilinear, ConstantBias, MapSettings, ShadowMap, ShadowMapping, SilhouetteMap
+from diffshadow.shadow.silhouettes import HalfPlanes
 
 SIDE = 32
 PHASES = (ShapePhase(strength=5.0, rate=0.1, steps=14), ShapePhase(2.0, 0.03, 6))
@@ -232,6 +234,47 @@ def test_point_lights_reach_screens_in_every_layer(walls):
     group = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], ShapeView(light, surface, ellipse(0.5, 0.5)))
     (sight,) = sights([group])
     assert sight.reached.all()
+
+
+def test_a_pixel_that_is_a_texel_sees_the_parts_of_it_that_are_lit():
+    """Two texels: the left third of the first lies under a caster at depth 0.3; the second is empty."""
+    third = -1 / 6
+    planes = HalfPlanes(jnp.array([[-1.0], [0.0]]), jnp.array([[0.0], [0.0]]), jnp.array([[-third], [-1e6]]))
+    numbers = lambda value: jnp.array([value], jnp.float32)
+    slot, depth = jnp.array([[0, -1]], jnp.int32), jnp.array([[1.0, 1.0]])
+    silhouettes = SilhouetteMap(slot, planes, numbers(0.3), numbers(1.0), jnp.array([True]))
+    light = DirectionalLight((0, 0, -1), np.zeros(3), (2, 2), -1, 1, 0.0, UP)
+    seen = lambda z, turned: Receivers.of(
+        jnp.stack([*jnp.array([[[-0.5, 0.5]], [[0.0, 0.0]]]), jnp.full((1, 2), 2 * z - 1), jnp.ones((1, 2))], axis=-1),
+        jnp.ones((1, 2), bool),
+        jnp.array([turned]),
+    )
+    drawn = ShadowMap(depth, light, silhouettes=silhouettes)
+    behind, before = seen(0.8, [True, True]), seen(0.2, [True, True])
+    assert float(behind.off) < 1e-6
+    np.testing.assert_allclose(behind.seen(drawn), [[2 / 3, 1]], atol=1e-6)
+    np.testing.assert_allclose(before.seen(drawn), [[1, 1]], atol=1e-6)
+    np.testing.assert_allclose(seen(0.8, [True, False]).seen(drawn), [[2 / 3, 0]], atol=1e-6)
+    np.testing.assert_allclose(seen(1.5, [True, True]).seen(drawn), [[1, 1]], atol=1e-6)
+
+
+@pytest.mark.exhaustive
+def test_pixels_that_are_texels_are_seen_as_by_a_look_up(views):
+    problem = ShapeProblem(bumpy_sphere(), views)
+    points = np.asarray(problem.mesh.vertices, float)
+    found = []
+    for is_direct in (True, False):
+        fit = shapes._Fit(problem, PHASES)
+        assert all(each is not None for each in fit.receivers)
+        fit.receivers = fit.receivers if is_direct else [None] * len(fit.receivers)
+        level = fit._level(points, np.asarray(problem.mesh.faces), np.ones(len(points), bool))
+        found.append(fit._program(level, points, fit.lights.start, 1.0, 1024))
+    direct, looked_up = found
+    assert float(direct.loss) == pytest.approx(float(looked_up.loss), rel=1e-5)
+    for one, other in zip(direct.images, looked_up.images, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-4)
+    scale = np.abs(looked_up.gradient).max()
+    np.testing.assert_allclose(direct.gradient, looked_up.gradient, atol=1e-3 * scale)
 
 
 @pytest.mark.exhaustive
