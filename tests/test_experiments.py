@@ -239,7 +239,7 @@ def test_border_of_worchel_and_alexas_target_is_dark():
         ("learned_bias", ["tiny.yaml", "--views", "0"], "expected 1 to 10"),
         ("learned_bias", ["tiny.yaml", "scene.camera={eye: [1, 2, 3]}"], "expected an orbit"),
         ("many_views", ["tiny.yaml"], "fit.views: is missing"),
-        ("shapes", ["tiny.yaml", "fit=null"], "fit.shape: is missing"),
+        ("shapes", ["tiny.yaml"], "fit.shape: is missing"),
         ("worchel_alexa", ["."], "expected a clone"),
         ("scale_invariance", ["tiny.yaml", "scene.lights=[{}, {}]", "scene.light=null"], "expected one light"),
     ],
