@@ -30,9 +30,9 @@ class MovingLights(NamedTuple):
     """
 
     groups: list[AbstractLight]
-    starts: list[Float[HostArray, "n k"]]
+    starts: list[HostArray]
     treedefs: list[Any]
-    lengths: list[Float[HostArray, "n k"]]
+    lengths: list[HostArray]
 
     @classmethod
     def of(cls, groups: Sequence[ShapeView], middle: Float[HostArray, "3"]) -> "MovingLights":
@@ -89,11 +89,11 @@ class MovingLights(NamedTuple):
         ]
         return self._flat(spread)
 
-    def _parts(self, numbers: Float[HostArray, " m"]) -> list[Float[HostArray, "n k"]]:
+    def _parts(self, numbers: Float[HostArray, " m"]) -> list[HostArray]:
         ends = np.cumsum([start.size for start in self.starts])[:-1]
         return [part.reshape(own.shape) for part, own in zip(np.split(numbers, ends), self.starts, strict=True)]
 
-    def _flat(self, parts: Sequence[Float[HostArray, "*nk"]]) -> Float[HostArray, " m"]:
+    def _flat(self, parts: Sequence[HostArray]) -> Float[HostArray, " m"]:
         return np.concatenate([part.reshape(-1) for part in parts])
 
 

