@@ -16,7 +16,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from .._arithmetic import as_float
+from .._arithmetic import as_array, as_float
 from .._checks import check_settings
 from .._padding import shared_mesh_size, shared_size
 from .._types import HostArray
@@ -467,7 +467,7 @@ class _Fit:
     def _lights(self, numbers: Float[HostArray, " l"]) -> list[AbstractLight]:
         """The light of each view."""
         groups = self.lights.lights(numbers)
-        each = lambda lights, i: jax.tree.map(lambda leaf: np.asarray(leaf)[i], lights)
+        each = lambda lights, i: jax.tree.map(lambda leaf: as_array(np.asarray(leaf)[i]), lights)
         counts = [len(group.reference) for group in self.groups]
         return self._of_views(
             [[each(*at) for at in product([g], range(n))] for g, n in zip(groups, counts, strict=True)]

@@ -14,6 +14,8 @@ from diffshadow import geometry
 from diffshadow.fit import ShapePhase, ShapeProblem, ShapeView, check_shape, fit_shape
 from diffshadow.fit import _shape as shapes
 from diffshadow.fit._large_steps import LargeSteps
+from diffshadow.fit._moving_lights import MovingLights
+from diffshadow.fit.problems import together
 from diffshadow.fit.problems._aligned import Receivers
 from diffshadow.fit.problems._shape import default_technique, sights
 from diffshadow.geometry import DirectionalLight, Edges, Mesh, OrthographicCamera, PointLight, SpotLight, split_in_four
@@ -122,6 +124,20 @@ def STUB(vertices, faces, edges, groups, receivers, poses, technique, blur, cros
     images: Any = [np.zeros(group.reference.shape) for group in groups]
     found: Any = np.sum(np.square(vertices)), 2 * np.asarray(vertices), poses, images, np.asarray(9)
     return shapes.Evaluation(*found)
+
+
+def test_lights_that_move_descend_and_others_stay(views, monkeypatch):
+    """The stub's gradient by a light's numbers is these numbers themselves, so that an azimuth of 90 falls."""
+    monkeypatch.setattr(shapes, "compiled", lambda function, given: STUB)
+    moving = [views[0], dataclasses.replace(views[1], moves=True)]
+    found = fit_shape(ShapeProblem(sphere(), moving), (ShapePhase(5.0, 0.05, 4, light_rate=2.0),))
+    still, moved = (light.pose() for light in found.lights)
+    assert float(still.azimuth) == 0
+    assert 80 < float(moved.azimuth) < 88
+    steep = eqx.tree_at(lambda view: view.light.direction, moving[1], jnp.array([0.0, -(3**0.5), -1.0]))
+    lights = MovingLights.of([together([steep])], np.zeros(3))
+    np.testing.assert_allclose(lights.lengths[0], [[2, 1, 0]], rtol=1e-5)
+    np.testing.assert_allclose(lights.moved(lights.start, np.array([3.0, 1.0, 1.0])), [6, 61, 0], rtol=1e-5)
 
 
 def test_memory_for_crossings_doubles_when_it_is_full_and_compiles_before(views, monkeypatch):
