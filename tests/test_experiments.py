@@ -205,7 +205,7 @@ def test_visual_hull_of_a_box_from_three_sides_is_the_box():
     script = importlib.import_module("shapes")
     lights = "[{azimuth: 0, elevation: 0}, {azimuth: 90, elevation: 0}, {azimuth: 0, elevation: 90}]"
     scene = f"scene: {{meshes: [{{path: builtin:box, size: 1}}], lights: {lights}}}\n"
-    plan = build_shape(parse_config(scene + "fit: {shape: {resolution: [64, 64]}}", fitting=True))
+    plan: Any = build_shape(parse_config(scene + "fit: {shape: {resolution: [64, 64]}}", fitting=True))
     targets = [study.shadow_on(screen, plan.truth) for screen in plan.seen]
     views = [SimpleNamespace(surface=screen.surface()) for screen in plan.seen]
     hull = script.visual_hull(script.Case(plan, SimpleNamespace(views=views), targets))

@@ -66,7 +66,8 @@ def walls():
 @pytest.fixture(scope="module")
 def views(walls):
     halves = (0.7, 0.5), (0.35, 0.5)
-    return [ShapeView(*each, ellipse(width, height)) for each, (width, height) in zip(walls, halves, strict=True)]
+    pairs = zip(walls, halves, strict=True)
+    return [ShapeView(light, surface, ellipse(*half)) for (light, surface), half in pairs]
 
 
 @pytest.mark.exhaustive
@@ -131,7 +132,8 @@ def test_lights_that_move_descend_and_others_stay(views, monkeypatch):
     monkeypatch.setattr(shapes, "compiled", lambda function, given: STUB)
     moving = [views[0], dataclasses.replace(views[1], moves=True)]
     found = fit_shape(ShapeProblem(sphere(), moving), (ShapePhase(5.0, 0.05, 4, light_rate=2.0),))
-    still, moved = (light.pose() for light in found.lights)
+    poses: Any = [light.pose() for light in found.lights]
+    still, moved = poses
     assert float(still.azimuth) == 0
     assert 80 < float(moved.azimuth) < 88
     steep = eqx.tree_at(lambda view: view.light.direction, moving[1], jnp.array([0.0, -(3**0.5), -1.0]))
@@ -280,7 +282,7 @@ def test_pixels_that_are_texels_are_seen_as_by_a_look_up(views):
     points = np.asarray(problem.mesh.vertices, float)
     found = []
     for is_direct in (True, False):
-        fit = shapes._Fit(problem, PHASES)
+        fit: Any = shapes._Fit(problem, PHASES)
         assert all(each is not None for each in fit.receivers)
         fit.receivers = fit.receivers if is_direct else [None] * len(fit.receivers)
         level = fit._level(points, np.asarray(problem.mesh.faces), np.ones(len(points), bool))
@@ -349,7 +351,7 @@ def test_a_light_is_found_together_with_the_shape():
     technique = default_technique((SIDE, SIDE))
     drawn = [technique.map.draw(truth, light, edges=Edges.of(truth)) for light, _ in walls]
     images = [np.asarray(technique.visibility(each, surface)) for each, (_, surface) in zip(drawn, walls, strict=True)]
-    pose = walls[0][0].pose()
+    pose: Any = walls[0][0].pose()
     off = walls[0][0].at(eqx.tree_at(lambda pose: pose.azimuth, pose, pose.azimuth + 6))
     lights = [off, *(light for light, _ in walls[1:])]
     views = [
