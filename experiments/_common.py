@@ -68,17 +68,21 @@ class Case(NamedTuple):
     floor: float
 
 
-def load(config: Path, overrides: Sequence[str], needs: Sequence[str] = ()) -> Config:
+def load(config: Path, overrides: Sequence[str], needs: Sequence[str] = (), *, shape: bool = False) -> Config:
     """The configuration of an experiment, which has one light.
 
     **Arguments:**
 
     - `needs`: parameters that its fit must have.
+    - `shape`: whether it has a fit of a shape instead, and one light or several.
 
     **Raises** `ConfigError` if it cannot be used, or its output cannot be written.
     """
-    settings = load_config(config, overrides)
-    if len(settings.scene.each_light) > 1:
+    settings = load_config(config, overrides, fitting=shape)
+    if shape and settings.fit.shape is None:
+        what = "is missing; expected the fit of a shape: add it as in configs/shape_from_shadows.yaml"
+        raise mistake(settings, "fit.shape", what)
+    if not shape and len(settings.scene.each_light) > 1:
         raise mistake(settings, "scene.lights", "has several lights; expected one light: write it as scene.light")
     for name in needs:
         if name not in settings.fit.parameters:

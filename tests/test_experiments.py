@@ -5,14 +5,16 @@ import importlib
 import json
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from scenes import fit_section, staying_in
 
+from diffshadow import study
 from diffshadow.cli import main
-from diffshadow.config import build_technique, load_config
+from diffshadow.config import build_shape, build_technique, load_config, parse_config
 
 ROOT = Path(__file__).parent.parent
 SWEEPS = sorted(path for path in (ROOT / "configs").glob("*.yaml") if "\nsweep:" in path.read_text())
@@ -182,6 +184,42 @@ def test_scale_invariance_sees_a_length_that_stays(monkeypatch):
     assert run("scale_invariance", scales="0.1")["worst"]["rmse before"] > 0.05
 
 
+@pytest.mark.exhaustive
+def test_shapes_are_closer_than_their_visual_hull_and_than_plain_steps():
+    mesh = "{path: builtin:blob, size: 1.6, options: {subdivisions: 3}}"
+    unseen = "[{azimuth: 57, elevation: 25}, {azimuth: 195, elevation: 59}]"
+    phases = "[{strength: 10, rate: 0.1, steps: 40}, {strength: 3, rate: 0.04, steps: 30}]"
+    start = "{path: builtin:sphere, size: 1.2, translate: [0, 0.2, 0], options: {subdivisions: 3}}"
+    shape = f"{{screen: below, resolution: [32, 32], unseen: {unseen}, phases: {phases}, start: {start}}}"
+    sections = f"scene: {{meshes: [{mesh}], lights: [{{}}, {{}}, {{}}]}}\nfit: {{shape: {shape}}}\n"
+    Path("tiny.yaml").write_text(sections)
+    found = run("shapes", suns="3", sizes="32")
+    large, plain, hull = found["rows"]
+    assert [row["method"] for row in found["rows"]] == ["large steps", "plain steps", "visual hull"]
+    assert large["chamfer"] < min(plain["chamfer"], hull["chamfer"])
+    assert large["unseen"] > plain["unseen"]
+    assert hull["seen"] > 0.95
+
+
+def test_visual_hull_of_a_box_from_three_sides_is_the_box():
+    script = importlib.import_module("shapes")
+    lights = "[{azimuth: 0, elevation: 0}, {azimuth: 90, elevation: 0}, {azimuth: 0, elevation: 90}]"
+    scene = f"scene: {{meshes: [{{path: builtin:box, size: 1}}], lights: {lights}}}\n"
+    plan: Any = build_shape(parse_config(scene + "fit: {shape: {resolution: [64, 64]}}", fitting=True))
+    targets = [study.shadow_on(screen, plan.truth) for screen in plan.seen]
+    views = [SimpleNamespace(surface=screen.surface()) for screen in plan.seen]
+    hull = script.visual_hull(script.Case(plan, SimpleNamespace(views=views), targets))
+    np.testing.assert_allclose(hull.bounds, plan.truth.bounds, atol=0.02)
+
+
+def test_border_of_worchel_and_alexas_target_is_dark():
+    script = importlib.import_module("worchel_alexa")
+    border = script.their_border()
+    # Of their picture, which shows nothing else there: 8-bit values along the diagonal, and along a side.
+    np.testing.assert_allclose(255 * border[[0, 1, 2], [0, 1, 2]], [205, 249, 255], atol=1)
+    np.testing.assert_allclose(255 * border[128, :3], [240, 253, 255], atol=1)
+
+
 @pytest.mark.parametrize(
     ("experiment", "arguments", "said"),
     [
@@ -201,6 +239,8 @@ def test_scale_invariance_sees_a_length_that_stays(monkeypatch):
         ("learned_bias", ["tiny.yaml", "--views", "0"], "expected 1 to 10"),
         ("learned_bias", ["tiny.yaml", "scene.camera={eye: [1, 2, 3]}"], "expected an orbit"),
         ("many_views", ["tiny.yaml"], "fit.views: is missing"),
+        ("shapes", ["tiny.yaml"], "fit.shape: is missing"),
+        ("worchel_alexa", ["."], "expected a clone"),
         ("scale_invariance", ["tiny.yaml", "scene.lights=[{}, {}]", "scene.light=null"], "expected one light"),
     ],
 )

@@ -5,6 +5,7 @@ from ..settings.reference import Sampler as Sampler
 from ._contribution import hidden_pixels as hidden_pixels
 from ._contribution import hides_light as hides_light
 from ._contribution import is_lit as is_lit
+from ._embree import occluded as occluded
 from ._exact import trace_visibility_exact
 from ._key_parts import key_parts
 from ._reference import Reference

@@ -6,6 +6,7 @@ from embreex.rtcore_scene import EmbreeScene
 from jaxtyping import Bool, Float, Float64, Int
 
 from .._types import HostArray
+from ..geometry import Mesh
 from ._rays import Hits, Rays, Triangles
 from ._tracer import AbstractTracer
 
@@ -60,6 +61,21 @@ class EmbreeTracer(AbstractTracer):
     ) -> Bool[HostArray, " r"]:
         starts = np.take(origin.astype(np.float32), which, axis=0)
         return self._scene.run(starts, direction, dists=reach, query="OCCLUDED") != -1
+
+
+def occluded(
+    mesh: Mesh, points: Float[HostArray, "n 3"], directions: Float[HostArray, "n 3"], reach: float
+) -> Bool[HostArray, " n"]:
+    """Whether a mesh, which none of the points lies on, blocks the rays from there, (n,).
+
+    **Arguments:**
+
+    - `reach`: how far the rays go, in multiples of `directions`; may be infinite.
+    """
+    scene = EmbreeScene(robust=True)
+    single = lambda values: np.ascontiguousarray(values, dtype=np.float32)
+    TriangleMesh(scene, single(np.asarray(mesh.vertices)[np.asarray(mesh.faces)]))
+    return scene.run(single(points), single(directions), dists=reach, query="OCCLUDED") != -1
 
 
 def self_hit_offsets(triangles: Triangles) -> Float64[HostArray, " f"]:

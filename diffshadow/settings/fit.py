@@ -148,6 +148,12 @@ class ShapePhase(Settings):
     blur: Annotated[Blur, "standard deviation of the Gaussian under which images are compared"] = 1.0
     # Each makes four triangles of one; a sphere of 20 has 1.3 million after 8.
     subdivisions: Annotated[int, Limits(0, 8), "how often each triangle is split in four before the phase"] = 0
+    light_rate: Annotated[
+        float,
+        Limits(0, 90),
+        Unit("degrees"),
+        "length of the first steps of lights that move, as the shape sees them; it falls to a twentieth",
+    ] = 0.3
 
 
 PHASES = (
@@ -172,6 +178,17 @@ class Shape(Settings):
         "axis across which the shape stays its own mirror image, about the start's middle",
     ] = None
     pinned: Annotated[Coordinate | None, "vertices of the start below this height stay"] = None
+    moves: Annotated[
+        tuple[int, ...],
+        Form("a list of whole numbers", "[0, 2]"),
+        "which of the scene's lights, counted from 0, are fitted together with the shape",
+    ] = ()
+    off: Annotated[
+        float,
+        Limits(0, 45),
+        Unit("degrees"),
+        "for traced shadows: how far those lights start from where they stand in the scene",
+    ] = 0.0
     seconds: Annotated[
         float, Limits(0, 86_400), Unit("seconds"), "time between checkpoints, from which a stopped fit goes on"
     ] = 10.0

@@ -17,7 +17,9 @@ from .runs._pose import pose_problems as pose_problems
 from .runs._progress import Stages as Stages
 from .runs._render import run_render
 from .runs._save import save_fit
-from .runs._setup import traced as traced
+from .runs._setup import trace as trace
+from .runs._shape import shadow_on as shadow_on
+from .runs._shape import shape_problem as shape_problem
 
 __all__ = [
     "compare",

@@ -10,7 +10,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from .. import io, metrics, study
 from .._checks import check_value
-from ..config import CONFIG_FILE, Config, changed, dump_resolved, load_config, numbers_of, parse_config, with_number
+from ..config import CONFIG_FILE, Config, dump_resolved, load_config, numbers_of, parse_config, with_number
 from ._pictures import OF_TRUTH, as_picture, picture_of
 from ._stages import Frame, Picture, Stages
 from ._state import Look, State, View
@@ -86,7 +86,7 @@ def animate(
         frame = Frame(stages, subject, Look(state=State(), view=view), size, each)
         truth = None
         if view in OF_TRUTH:
-            truth = study.traced(changed(each, reference=subject.reference), frame.scene(frame.light), None)
+            truth = study.trace(frame.scene(frame.light), subject.how, lambda _: None)
             mask = frame.covered(frame.light) & truth.mask
             measured.append((np.asarray(frame.visibility(frame.light)), truth.visibility, mask))
         picture = picture_of(frame, view, truth)

@@ -147,7 +147,7 @@ class Frame:
     @property
     def truth_key(self) -> Hashable:
         """What the reference of the shown light depends on."""
-        return self._surface_key(self.size), self._lights[self.light], repr(self.subject.reference)
+        return self._surface_key(self.size), self._lights[self.light], repr(self.subject.how)
 
     def shaded(self) -> Picture:
         """The picture that a render stores, lit by all lights."""

@@ -45,7 +45,7 @@ class Subject:
     - `laid_out`: the names of the technique's numbers for which its map has to be drawn again.
     - `follows_camera`: whether the map is laid out for the camera.
     - `map_key`, `key`: what tells its maps, and its visibility, from other subjects'.
-    - `reference`: the section of the reference, traced.
+    - `how`: the arguments of `reference.trace_visibility`.
     - `full_size`: (height, width) of its largest pictures, in pixels.
     """
 
@@ -70,7 +70,8 @@ class Subject:
         self.map_key = repr((config.technique, config.shadow_map, getattr(layout, "margin", None)))
         self.key = repr((config.technique, config.shadow_map, config.bias, config.filter, config.compare))
         # Pages compare with rays, also where a file holds the reference.
-        self.reference = config.reference if config.reference.type == "traced" else REFERENCES.make()
+        section: Any = config.reference if config.reference.type == "traced" else REFERENCES.make()
+        self.how: dict[str, Any] = section.how(config.seed)
         self.full_size = at_most(config.scene.camera.resolution, FULL_PIXELS)
 
     def at(self, state: State) -> Config:

@@ -4,13 +4,12 @@ import contextlib
 import os
 import sys
 import threading
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterator, Mapping
+from typing import Any
 
 from .. import reference, study
-from ..config import Config
 from ..geometry import Scene
 from ..reference import Reference
-from ..settings.reference import TracedReference
 
 # Rays per pixel of the first picture, and by how much each next one has more.
 _FIRST, _FACTOR = 4, 4
@@ -27,7 +26,7 @@ class Tracer:
     def __init__(self, found: Callable[[Hashable], None]):
         self.found = found
         self._references: dict[Hashable, tuple[Reference, bool]] = {}
-        self._wanted: tuple[Hashable, Config, Scene] | None = None
+        self._wanted: tuple[Hashable, Scene, Mapping[str, Any]] | None = None
         self._changed = threading.Condition()
         threading.Thread(target=self._run, daemon=True, name="tracing").start()
 
@@ -35,10 +34,10 @@ class Tracer:
         """The best reference so far."""
         return self._references.get(key, (None, False))[0]
 
-    def want(self, key: Hashable, config: Config, scene: Scene) -> None:
-        """Traces the reference of `config`, in a `scene` with one light, unless that is done."""
+    def want(self, key: Hashable, scene: Scene, how: Mapping[str, Any]) -> None:
+        """Traces what `reference.trace_visibility` finds with arguments `how`, unless that is done."""
         with self._changed:
-            self._wanted = None if self._references.get(key, (None, False))[1] else (key, config, scene)
+            self._wanted = None if self._references.get(key, (None, False))[1] else (key, scene, how)
             self._changed.notify()
 
     def rest(self) -> None:
@@ -61,18 +60,16 @@ class Tracer:
                 if self._wanted is wanted:
                     self._wanted = None
 
-    def _trace(self, key: Hashable, config: Config, scene: Scene) -> None:
+    def _trace(self, key: Hashable, scene: Scene, how: Mapping[str, Any]) -> None:
         def go_on(_: float) -> None:
             if self._wanted is None or self._wanted[0] != key:
                 raise _AbandonedError
 
-        section = config.reference
-        assert isinstance(section, TracedReference)
         try:
-            for samples in _steps(section, scene):
-                how = {**section.how(config.seed), "samples": samples}
-                self._publish(key, reference.trace_visibility(scene, **how, progress=go_on), is_last=False)
-            self._publish(key, study.traced(config, scene, go_on), is_last=True)
+            for samples in _steps(scene, **how):
+                few = reference.trace_visibility(scene, **{**how, "samples": samples}, progress=go_on)
+                self._publish(key, few, is_last=False)
+            self._publish(key, study.trace(scene, how, go_on), is_last=True)
         except ValueError:
             # The camera sees nothing.
             raise _AbandonedError from None
@@ -90,9 +87,9 @@ class _AbandonedError(Exception):
     """The reference is no longer asked for."""
 
 
-def _steps(section: TracedReference, scene: Scene) -> Iterator[int]:
+def _steps(scene: Scene, samples: int, supersampling: int, **_: Any) -> Iterator[int]:
     """The rays per pixel of the references before the last one."""
-    samples = _FIRST * section.supersampling**2
-    while scene.light.has_size and samples < section.samples:
-        yield samples
-        samples *= _FACTOR
+    few = _FIRST * supersampling**2
+    while scene.light.has_size and few < samples:
+        yield few
+        few *= _FACTOR

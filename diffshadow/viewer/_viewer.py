@@ -114,8 +114,7 @@ class Viewer:
     def trace(self, look: Look) -> Hashable:
         """Starts to trace the reference of `look` at rest. **Returns** its key."""
         frame = self.frame(look, full=True)
-        config = changed(frame.config, reference=frame.subject.reference)
-        self.tracer.want(frame.truth_key, config, frame.scene(frame.light))
+        self.tracer.want(frame.truth_key, frame.scene(frame.light), frame.subject.how)
         return frame.truth_key
 
     def controls(self, state: State) -> dict[str, Any]:

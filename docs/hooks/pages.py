@@ -15,7 +15,7 @@ from mkdocs.structure.pages import Page
 ROOT = Path(__file__).parents[2]
 # What pages link to stands here too.
 KEPT = (
-    *("*.md", "LICENSE", "docs/*.md", "docs/images/**/*.png", "docs/images/*.webp", "docs/hooks/*.css"),
+    *("*.md", "LICENSE", "docs/*.md", "docs/images/**/*.png", "docs/images/**/*.webp", "docs/hooks/*.css"),
     "notebooks/README.md",
     *("diffshadow/*/README.md", "configs/*.yaml", "experiments/engines/*.mjs"),
 )

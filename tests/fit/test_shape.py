@@ -14,10 +14,14 @@ from diffshadow import geometry
 from diffshadow.fit import ShapePhase, ShapeProblem, ShapeView, check_shape, fit_shape
 from diffshadow.fit import _shape as shapes
 from diffshadow.fit._large_steps import LargeSteps
-from diffshadow.fit.problems._shape import pixels_reached
-from diffshadow.geometry import DirectionalLight, Edges, Mesh, OrthographicCamera, PointLight, split_in_four
+from diffshadow.fit._moving_lights import MovingLights
+from diffshadow.fit.problems import together
+from diffshadow.fit.problems._aligned import Receivers
+from diffshadow.fit.problems._shape import default_technique, sights
+from diffshadow.geometry import DirectionalLight, Edges, Mesh, OrthographicCamera, PointLight, SpotLight, split_in_four
 from diffshadow.raster import draw_surface
-from diffshadow.shadow import Bilinear, ConstantBias, MapSettings, ShadowMapping
+from diffshadow.shadow import Bilinear, ConstantBias, MapSettings, ShadowMap, ShadowMapping, SilhouetteMap
+from diffshadow.shadow.silhouettes import HalfPlanes
 
 SIDE = 32
 PHASES = (ShapePhase(strength=5.0, rate=0.1, steps=14), ShapePhase(2.0, 0.03, 6))
@@ -28,6 +32,14 @@ def sphere(radius=0.5, subdivisions=2):
     """A sphere of 162 vertices about the origin."""
     mesh = geometry.library_mesh("sphere", radius=radius, subdivisions=subdivisions)
     return Mesh(np.asarray(mesh.vertices) - [0, radius, 0], mesh.faces)
+
+
+def bumpy_sphere():
+    """A sphere with bumps, turned so that no two outlines coincide."""
+    points = np.asarray(sphere(0.6).vertices, float)
+    points = points @ np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    points = points * (1 + 0.15 * np.sin(4 * points[:, :1] / 0.6 + 1) * np.cos(5 * points[:, 1:2] / 0.6))
+    return Mesh(points, sphere().faces)
 
 
 def wall(way, away=2.0, size=2.0, side=SIDE):
@@ -54,7 +66,8 @@ def walls():
 @pytest.fixture(scope="module")
 def views(walls):
     halves = (0.7, 0.5), (0.35, 0.5)
-    return [ShapeView(*each, ellipse(width, height)) for each, (width, height) in zip(walls, halves, strict=True)]
+    pairs = zip(walls, halves, strict=True)
+    return [ShapeView(light, surface, ellipse(*half)) for (light, surface), half in pairs]
 
 
 @pytest.mark.exhaustive
@@ -107,11 +120,26 @@ def kinds(given):
     return tree, [(leaf.shape, leaf.dtype) if hasattr(leaf, "shape") else leaf for leaf in leaves]
 
 
-def STUB(vertices, faces, edges, groups, technique, blur, crossings):
+def STUB(vertices, faces, edges, groups, receivers, poses, technique, blur, crossings):
     """An evaluation that pulls all vertices inwards."""
     images: Any = [np.zeros(group.reference.shape) for group in groups]
-    found: Any = np.sum(np.square(vertices)), 2 * np.asarray(vertices), images, np.asarray(9)
+    found: Any = np.sum(np.square(vertices)), 2 * np.asarray(vertices), poses, images, np.asarray(9)
     return shapes.Evaluation(*found)
+
+
+def test_lights_that_move_descend_and_others_stay(views, monkeypatch):
+    """The stub's gradient by a light's numbers is these numbers themselves, so that an azimuth of 90 falls."""
+    monkeypatch.setattr(shapes, "compiled", lambda function, given: STUB)
+    moving = [views[0], dataclasses.replace(views[1], moves=True)]
+    found = fit_shape(ShapeProblem(sphere(), moving), (ShapePhase(5.0, 0.05, 4, light_rate=2.0),))
+    poses: Any = [light.pose() for light in found.lights]
+    still, moved = poses
+    assert float(still.azimuth) == 0
+    assert 80 < float(moved.azimuth) < 88
+    steep = eqx.tree_at(lambda view: view.light.direction, moving[1], jnp.array([0.0, -(3**0.5), -1.0]))
+    lights = MovingLights.of([together([steep])], np.zeros(3))
+    np.testing.assert_allclose(lights.lengths[0], [[2, 1, 0]], rtol=1e-5)
+    np.testing.assert_allclose(lights.moved(lights.start, np.array([3.0, 1.0, 1.0])), [6, 61, 0], rtol=1e-5)
 
 
 def test_memory_for_crossings_doubles_when_it_is_full_and_compiles_before(views, monkeypatch):
@@ -222,22 +250,62 @@ def test_point_lights_reach_screens_in_every_layer(walls):
     _, surface = walls[0]
     light = PointLight((0.0, 0.0, 0.0), near=0.1, far=9.0)
     group = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], ShapeView(light, surface, ellipse(0.5, 0.5)))
-    (reached,) = pixels_reached([group])
-    assert reached[0] == SIDE * SIDE
+    (sight,) = sights([group])
+    assert sight.reached.all()
+
+
+def test_a_pixel_that_is_a_texel_sees_the_parts_of_it_that_are_lit():
+    """Two texels: the left third of the first lies under a caster at depth 0.3; the second is empty."""
+    third = -1 / 6
+    planes = HalfPlanes(jnp.array([[-1.0], [0.0]]), jnp.array([[0.0], [0.0]]), jnp.array([[-third], [-1e6]]))
+    numbers = lambda value: jnp.array([value], jnp.float32)
+    slot, depth = jnp.array([[0, -1]], jnp.int32), jnp.array([[1.0, 1.0]])
+    silhouettes = SilhouetteMap(slot, planes, numbers(0.3), numbers(1.0), jnp.array([True]))
+    light = DirectionalLight((0, 0, -1), np.zeros(3), (2, 2), -1, 1, 0.0, UP)
+    seen = lambda z, turned: Receivers.of(
+        jnp.stack([*jnp.array([[[-0.5, 0.5]], [[0.0, 0.0]]]), jnp.full((1, 2), 2 * z - 1), jnp.ones((1, 2))], axis=-1),
+        jnp.ones((1, 2), bool),
+        jnp.array([turned]),
+    )
+    drawn = ShadowMap(depth, light, silhouettes=silhouettes)
+    behind, before = seen(0.8, [True, True]), seen(0.2, [True, True])
+    assert float(behind.off) < 1e-6
+    np.testing.assert_allclose(behind.seen(drawn), [[2 / 3, 1]], atol=1e-6)
+    np.testing.assert_allclose(before.seen(drawn), [[1, 1]], atol=1e-6)
+    np.testing.assert_allclose(seen(0.8, [True, False]).seen(drawn), [[2 / 3, 0]], atol=1e-6)
+    np.testing.assert_allclose(seen(1.5, [True, True]).seen(drawn), [[1, 1]], atol=1e-6)
+
+
+@pytest.mark.exhaustive
+def test_pixels_that_are_texels_are_seen_as_by_a_look_up(views):
+    problem = ShapeProblem(bumpy_sphere(), views)
+    points = np.asarray(problem.mesh.vertices, float)
+    found = []
+    for is_direct in (True, False):
+        fit: Any = shapes._Fit(problem, PHASES)
+        assert all(each is not None for each in fit.receivers)
+        fit.receivers = fit.receivers if is_direct else [None] * len(fit.receivers)
+        level = fit._level(points, np.asarray(problem.mesh.faces), np.ones(len(points), bool))
+        found.append(fit._program(level, points, fit.lights.start, 1.0, 1024))
+    direct, looked_up = found
+    assert float(direct.loss) == pytest.approx(float(looked_up.loss), rel=1e-5)
+    for one, other in zip(direct.images, looked_up.images, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-4)
+    scale = np.abs(looked_up.gradient).max()
+    np.testing.assert_allclose(direct.gradient, looked_up.gradient, atol=1e-3 * scale)
 
 
 @pytest.mark.exhaustive
 def test_the_whole_gradient_matches_differences():
     """In double precision, of a bumpy sphere that is turned: mirrored outlines would coincide, which is a kink."""
     with jax.enable_x64(True):
-        points, faces = np.asarray(sphere(0.6).vertices, float), np.asarray(sphere(0.6).faces)
-        points = points @ np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
-        points = points * (1 + 0.15 * np.sin(4 * points[:, :1] / 0.6 + 1) * np.cos(5 * points[:, 1:2] / 0.6))
+        mesh = bumpy_sphere()
+        points, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces)
         seen = [wall(way, side=48) for way in ((0.0, 0.0, -1.0), (-1.0, 0.0, 0.0))]
         views = [ShapeView(*each, ellipse(0.5, 0.45, 48)) for each in seen]
-        fit = shapes._Fit(ShapeProblem(Mesh(points, faces), views), PHASES)
+        fit = shapes._Fit(ShapeProblem(mesh, views), PHASES)
         level = fit._level(points, faces, np.ones(len(points), bool))
-        at = lambda points: fit._program(level, points, 0.0, 1024)
+        at = lambda points: fit._program(level, points, fit.lights.start, 0.0, 1024)
         found, step = np.asarray(at(points).gradient)[: len(points)], 2e-4
         difference = np.zeros_like(found)
         for vertex, axis in zip(*np.nonzero(found), strict=True):
@@ -249,3 +317,50 @@ def test_the_whole_gradient_matches_differences():
     assert moves.sum() > 30
     assert np.quantile(error, 0.9) < 2e-3
     assert np.linalg.norm(difference - found) < 0.03 * np.linalg.norm(difference)
+
+
+@pytest.mark.exhaustive
+def test_the_gradient_by_lights_matches_differences():
+    """By directions and positions, in double precision, of the same shape."""
+    with jax.enable_x64(True):
+        mesh = bumpy_sphere()
+        points = np.asarray(mesh.vertices, float)
+        sun, lamp = wall((0.0, 0.0, -1.0), side=48), wall((-1.0, 0.0, 0.0), side=48)
+        spot = SpotLight((3.0, 0.1, 0.2), (-1.0, 0.02, 0.03), outer_angle=20, near=1.0, far=9.0)
+        views = [ShapeView(*each, ellipse(0.5, 0.45, 48), moves=True) for each in (sun, (spot, lamp[1]))]
+        # Of texels so fine that a lamp's map may turn without a change to the shadow.
+        fit = shapes._Fit(ShapeProblem(mesh, views, technique=default_technique((160, 160))), PHASES)
+        level, start = fit._level(points, np.asarray(mesh.faces), np.ones(len(points), bool)), fit.lights.start
+        at = lambda degrees: fit._program(level, points, fit.lights.moved(start, degrees), 0.0, 4096)
+        by_lights = at(np.zeros_like(start)).by_lights
+        assert by_lights is not None
+        found, step = fit.lights.in_degrees(by_lights), 2e-3
+        difference = np.array([(at(e * step).loss - at(-e * step).loss) / (2 * step) for e in np.eye(len(start))])
+    assert np.count_nonzero(found) == 2 + 5
+    np.testing.assert_allclose(found[:3], difference[:3], rtol=0.01)
+    np.testing.assert_allclose(found[3:], difference[3:], atol=0.05 * np.abs(difference).max())
+
+
+@pytest.mark.exhaustive
+def test_a_light_is_found_together_with_the_shape():
+    """Of five suns round a shape, one stands six degrees from where its shadow was drawn."""
+    ways = [(-np.sin(a), 0.0, -np.cos(a)) for a in np.radians([0, 36, 72, 108, 144])]
+    walls = [wall(way) for way in ways]
+    start, truth = sphere(), sphere()
+    truth = Mesh(np.asarray(truth.vertices) * [1.3, 0.9, 0.7], truth.faces)
+    technique = default_technique((SIDE, SIDE))
+    drawn = [technique.map.draw(truth, light, edges=Edges.of(truth)) for light, _ in walls]
+    images = [np.asarray(technique.visibility(each, surface)) for each, (_, surface) in zip(drawn, walls, strict=True)]
+    pose: Any = walls[0][0].pose()
+    off = walls[0][0].at(eqx.tree_at(lambda pose: pose.azimuth, pose, pose.azimuth + 6))
+    lights = [off, *(light for light, _ in walls[1:])]
+    views = [
+        ShapeView(light, surface, image, moves=light is off)
+        for light, (_, surface), image in zip(lights, walls, images, strict=True)
+    ]
+    found = fit_shape(ShapeProblem(start, views), (ShapePhase(10.0, 0.05, 40), ShapePhase(3.0, 0.02, 40)))
+    angle = lambda light: np.degrees(np.arccos(np.clip(np.asarray(light.direction) @ ways[0], -1, 1)))
+    assert angle(off) == pytest.approx(6, abs=0.01)
+    assert angle(found.lights[0]) < 1
+    assert angle(found.lights[1]) == pytest.approx(36, abs=1e-3)
+    assert found.loss < 0.05 * found.initial_loss

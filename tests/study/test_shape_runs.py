@@ -7,6 +7,7 @@ from rich.console import Console
 
 from diffshadow import io, study
 from diffshadow.config import CONFIG_FILE, ConfigError, build_shape, load_config, parse_config
+from diffshadow.raster import draw_surface
 from diffshadow.study.files._stored import read_result
 from diffshadow.study.runs._checkpoint import Checkpoint
 from diffshadow.study.runs._progress import Stages
@@ -94,6 +95,30 @@ def test_stopped_run_goes_on_from_its_checkpoint(folder, tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == [resumed]
 
 
+@pytest.mark.exhaustive
+def test_run_with_a_light_that_moves_tells_how_far_it_is_off(tmp_path):
+    moving = config(f"output={tmp_path}", "fit.shape.moves=[1]", "fit.shape.off=4", "fit.shape.phases=[{steps: 8}]")
+    result = read_result(study.run_fit(moving, console=QUIET))
+    (light,) = result["metrics"]["moved"]
+    assert light["light"] == "scene.lights.1"
+    assert light["before"] == pytest.approx(4, rel=0.02)
+    assert light["after"] != light["before"]
+
+
+def test_lights_start_as_far_off_as_asked():
+    lights = "[{azimuth: 20, elevation: 60}, {type: point, position: [0, 3, 1]}, {azimuth: 70, elevation: 30}]"
+    plan = build_shape(config(f"scene.lights={lights}", "fit.shape.moves=[0, 1]", "fit.shape.off=5"))
+    (first, sun), (second, lamp), (third, still) = plan.starts
+    assert (first, second, third) == (True, True, False)
+    directions = [np.asarray(light.direction) for light in (sun, plan.seen[0].light)]  # type: ignore[attr-defined]
+    assert np.degrees(np.arccos(directions[0] @ directions[1])) == pytest.approx(5, rel=0.03)
+    middle = np.asarray(plan.truth.bounds).mean(axis=0)  # type: ignore[union-attr]
+    places = [np.asarray(light.position) - middle for light in (lamp, plan.seen[1].light)]  # type: ignore[attr-defined]
+    cosine = places[0] @ places[1] / np.prod(np.linalg.norm(places, axis=1))
+    assert np.degrees(np.arccos(cosine)) == pytest.approx(5, abs=0.01)
+    assert still is plan.seen[2].light
+
+
 def test_damaged_checkpoints_are_ignored(tmp_path):
     checkpoint = Checkpoint(config(), tmp_path / "tiny")
     checkpoint.file.write_bytes(b"PK\x03\x04 and no more")
@@ -128,6 +153,8 @@ def test_shapes_that_cannot_be_fitted_are_refused(overrides, words):
         (["technique.type=shadow_volumes"], "fit.shape draws plain shadow maps"),
         (["fit.shape.images=[none.png]"], "there is no file"),
         (["fit.shape.start.path=none.ply"], "there is no file"),
+        (["fit.shape.moves=[2]"], "is 2, and the scene has 2 lights"),
+        (["fit.shape.off=5"], "is given without moves"),
     ],
 )
 def test_mistakes_between_keys_of_a_shape_are_named(overrides, words):
@@ -166,6 +193,10 @@ def test_lights_of_all_kinds_have_screens_that_show_the_shape():
             place = getattr(each.light, "position", None)
             way = np.asarray(getattr(each.light, "direction", None)) if place is None else middle - np.asarray(place)
             eye, target = (np.asarray(point) for point in (each.camera.eye, each.camera.target))
+            drawn, surface = draw_surface(each.mesh, each.camera), each.surface()
+            np.testing.assert_array_equal(surface.mask, drawn.mask)
+            np.testing.assert_allclose(surface.position, drawn.position, atol=2e-5)
+            np.testing.assert_allclose(surface.normal, drawn.normal, atol=1e-5)
             # The light's ray through the middle meets the screen where the camera looks.
             np.testing.assert_allclose(np.cross(target - middle, way), 0, atol=1e-5)
             assert (target - eye) @ way > 0

@@ -1,5 +1,6 @@
 """Builds a fit of a shape: a screen behind the shape for each light, and the meshes whose shadows fall on it."""
 
+import dataclasses
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Any, NamedTuple
@@ -7,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ... import fit, geometry, io
-from ..._arithmetic import as_float
+from ... import fit, geometry, io, raster
+from ..._arithmetic import as_array, as_float, as_int
 from ..._types import HostArray, Resolution
 from ...settings import scene
 from .._errors import KeyPath
@@ -45,6 +46,26 @@ class Screen(NamedTuple):
     mesh: geometry.Mesh
     camera: geometry.OrthographicCamera
 
+    def surface(self) -> raster.Surface:
+        """What the camera sees: `raster.draw_surface(self.mesh, self.camera)`, without a compiled program."""
+        camera = self.camera
+        height, width = camera.resolution
+        eye, target, up = (np.asarray(each, np.float64) for each in (camera.eye, camera.target, camera.up))
+        normal = eye - target
+        normal = normal / np.linalg.norm(normal)
+        along = lambda count: ((np.arange(count) + 0.5) / count - 0.5) * float(camera.height)
+        row, column = along(height)[:, None, None], along(width)[:, None] * (width / height)
+        position = as_float(target + row * up + column * np.cross(up, normal))
+        everywhere = lambda value: as_float(np.broadcast_to(value, position.shape))
+        return raster.Surface(
+            position=position,
+            normal=everywhere(normal),
+            interpolated_normal=everywhere(normal),
+            albedo=everywhere(1.0),
+            face=as_int(np.zeros((height, width))),
+            mask=as_array(np.ones((height, width), bool)),
+        )
+
     def scene(self, mesh: geometry.Mesh) -> geometry.Scene:
         """The screen in the shadow of a mesh."""
         return geometry.Scene([mesh, self.mesh], self.camera, [self.light], (True, False))
@@ -54,6 +75,7 @@ class ShapePlan(NamedTuple):
     """All that a fit of a shape needs.
 
     - `seen`, `unseen`: the screens of the fit's lights and of those for measuring.
+    - `starts`: for each light of the fit, whether it is fitted too, and the light that the fit starts from.
     - `start`: where the fit starts; `free`: (v,), which of its vertices move; `symmetry`: as for `fit.ShapeProblem`.
     - `targets`: the mesh whose shadow each light should cast; empty if there are images.
     - `truth`: the mesh that casts all of these shadows, if there is one.
@@ -62,6 +84,7 @@ class ShapePlan(NamedTuple):
 
     seen: list[Screen]
     unseen: list[Screen]
+    starts: list[tuple[bool, geometry.AbstractLight]]
     start: geometry.Mesh
     free: Bool[HostArray, " v"]
     symmetry: tuple[float, float, float, float] | None
@@ -105,8 +128,14 @@ def plan_shape(config: Config, blame: Blame) -> ShapePlan:
     phases = [
         fit.ShapePhase(**{key: getattr(phase, key) for key in type(phase).model_fields}) for phase in shape.phases
     ]
+    seen = screens({("scene", *key): light for key, light in config.scene.each_light.items()})
+    rng = np.random.default_rng(config.seed)
     return ShapePlan(
-        seen=screens({("scene", *key): light for key, light in config.scene.each_light.items()}),
+        seen=seen,
+        starts=[
+            (True, _moved_light(screen.light, middle, shape.off, rng)) if i in shape.moves else (False, screen.light)
+            for i, screen in enumerate(seen)
+        ],
         unseen=screens({(*here, "unseen", i): light for i, light in enumerate(shape.unseen)}),
         start=start,
         free=_free(shape, start, blame),
@@ -117,6 +146,25 @@ def plan_shape(config: Config, blame: Blame) -> ShapePlan:
         weights=weights,
         phases=phases,
     )
+
+
+def _moved_light(
+    light: geometry.AbstractLight, middle: Float[HostArray, "3"], degrees: float, rng: np.random.Generator
+) -> geometry.AbstractLight:
+    """A light so many degrees from its place, as seen from the shape's `middle`, in a random direction."""
+    pose, way = light.pose(), rng.normal(size=3)
+    if pose.position is not None:
+        towards = np.asarray(pose.place, np.float64) - middle
+        aside = np.cross(towards, way)
+        turned = np.tan(np.radians(degrees)) * np.linalg.norm(towards) * aside / np.linalg.norm(aside)
+        x, y, z = as_float(middle + towards + turned)
+        pose = dataclasses.replace(pose, position=geometry.Vector(x, y, z))
+    if pose.azimuth is not None and pose.elevation is not None and light.is_directional:
+        along, up = degrees * way[:2] / np.linalg.norm(way[:2])
+        cosine = max(abs(float(np.cos(np.radians(pose.elevation)))), 0.1)
+        azimuth, elevation = pose.azimuth + along / cosine, pose.elevation + up
+        pose = dataclasses.replace(pose, azimuth=azimuth, elevation=elevation)
+    return light.at(pose)
 
 
 def _sphere(casters: geometry.Mesh) -> geometry.Mesh:
@@ -224,21 +272,24 @@ def _screen(
         behind = _SCREEN * half / cosine
         centre = middle + behind * way
         upright = _upright(facing, way)
-        wide = extent * (1 + behind / distance) / cosine
+        wide, (height, width) = extent * (1 + behind / distance) / cosine, shape.resolution
+        tall = wide * min(1.0, height / width)
         if position is None:
-            upright_of_map = _upright(way, way)
+            # The map's texels are the image's pixels.
+            size = tall * width / height, tall * cosine
+            slant = tall * np.sqrt(max(1 - cosine**2, 0.0)) / 2
             light = geometry.DirectionalLight(
-                way, middle, (extent, extent), -extent, extent + behind, 0.0, upright_of_map
+                way, middle, size, -extent, behind + extent + slant, 0.0, _upright(way, way)
             )
         across = np.cross(facing, upright)
         u, v = (_WIDER * wide * axis for axis in (across, upright))
         mesh = geometry.Mesh([centre - u - v, centre + u - v, centre + u + v, centre - u + v], [[0, 1, 2], [0, 2, 3]])
-        eye, (height, width) = centre - _CAMERA * half * facing, shape.resolution
+        eye = centre - _CAMERA * half * facing
         camera = geometry.OrthographicCamera(
             as_float(eye),
             as_float(centre),
             as_float(upright),
-            height=wide * min(1.0, height / width),
+            height=tall,
             near=_CAMERA * half / 4,
             far=_CAMERA * half * 2,
             resolution=shape.resolution,

@@ -55,6 +55,11 @@ class ShapeConfig(Section, fit.Shape):
             yield ("targets",), fault("are given together with images", "one or the other", "remove one of them")
         if data.get("masks") and not data.get("images"):
             yield ("masks",), fault("are given without images", "images with them", "add images, or remove the masks")
+        if data.get("off") and not data.get("moves"):
+            yield ("off",), fault("is given without moves", "lights that move", "add moves, or remove off")
+        if data.get("off") and data.get("images"):
+            expected = "shadows traced under known lights"
+            yield ("off",), fault("is given together with images", expected, "remove it: lights start where they stand")
         for key in ("images", "targets"):
             if data.get(key) and data.get("unseen"):
                 expected = "shadows traced from the scene, since others show no single shape"

@@ -77,6 +77,11 @@ def _faults_of_shape(config: Parts) -> Iterator[Conflict]:
         if count and count != len(lights):
             message = f"has {count} entries, and the scene has {len(lights)} light{'' if len(lights) == 1 else 's'}"
             yield ("fit", "shape", key), fault(message, "one for each light", "add or remove some")
+    for i, number in enumerate(shape.moves):
+        if not 0 <= number < len(lights) or number in shape.moves[:i]:
+            message = f"is {number}, and the scene has {len(lights)} light{'' if len(lights) == 1 else 's'}"
+            expected = f"each number from 0 to {len(lights) - 1} at most once"
+            yield ("fit", "shape", "moves", i), fault(message, expected, "change or remove it")
     if config.technique.type != "shadow_map":
         message = f"is {config.technique.type}, and fit.shape draws plain shadow maps"
         yield ("technique", "type"), fault(message, "shadow_map", "remove the technique")

@@ -13,9 +13,11 @@ from scipy.spatial import KDTree
 from ..._arithmetic import as_array, as_float
 from ..._padding import round_up_to_power_of_two
 from ..._types import Faces, HostArray, Resolution, Scalar, Vertices, Visibility
-from ...geometry import AbstractLight, Edges, Mesh, as_mesh, share_vertices
+from ...geometry import AbstractLight, Edges, LightPose, Mesh, as_mesh, share_vertices
 from ...raster import Surface
+from ...reference import occluded
 from ...shadow import Bilinear, ConstantBias, MapSettings, ShadowMapping, SingleMap
+from ._aligned import Receivers
 from ._blur import blurred
 from ._pose import cone_fraction
 
@@ -23,13 +25,15 @@ from ._pose import cone_fraction
 _SAME_PLACE = 1e-5
 # Silhouettes cross far fewer sides of texels than this multiple of the map's height and width. Only tangled meshes
 # have more.
-_CROSSINGS_PER_SIDE = 16
+_CROSSINGS_PER_SIDE = 8
 
 
 class ShapeView(eqx.Module):
     """A shadow of a shape: the light, the surface that the shadow falls on, and how it should look there.
 
     - `light`: its shadow map must contain the shape at all times: its frustum does not follow.
+    - `moves`: whether the light's position and direction are fitted too. Some of the views' lights should stay: a shape
+        and all of its lights may be turned and stretched together without a change to the shadows.
     - `surface`: (h, w), where the shadow falls. It does not move, and casts no shadow itself.
     - `reference`: (h, w), visibility in [0, 1]: 1 lit, 0 shadowed.
     - `weight`: (h, w), how much each pixel counts, 0 or more.
@@ -39,8 +43,11 @@ class ShapeView(eqx.Module):
     surface: Surface
     reference: Visibility
     weight: Float[Array, "h w"]
+    moves: Bool[Array, ""]
 
-    def __init__(self, light: AbstractLight, surface: Surface, reference: Any, weight: Any = None):
+    def __init__(
+        self, light: AbstractLight, surface: Surface, reference: Any, weight: Any = None, *, moves: Any = False
+    ):
         """**Arguments:** `weight`: by default 1 for pixels with a surface. Others never count.
 
         **Raises** `ValueError` for a reference or a weight of another size than the surface, or that is not finite;
@@ -69,6 +76,12 @@ class ShapeView(eqx.Module):
             )
         self.light, self.surface = light, surface
         self.reference, self.weight = as_float(image), as_float(own)
+        if np.asarray(moves) and not jax.tree.leaves(light.pose()):
+            raise ValueError(
+                f"moves is true for a {type(light).__name__}, whose pose cannot be fitted; expected a directional, "
+                "spot or point light: leave moves out, or change the light"
+            )
+        self.moves = as_array(np.asarray(moves))
 
 
 class ShapeProblem(eqx.Module):
@@ -173,7 +186,8 @@ class Evaluation(NamedTuple):
     """The loss of a shape, and what a fit needs beside it.
 
     - `loss`: the mean over all views of their mean square differences under the blur.
-    - `gradient`: (v, 3), by the vertices.
+    - `gradient`: (v, 3), by the vertices; `by_lights`: for each group of views, by the poses of their lights, along a
+        first axis; none if no light moves.
     - `images`: for each group of views, (n, h, w), their visibilities.
     - `crossings`: the most sides of texels that the silhouettes in a map cross. If there are more than there was memory
         for, all of these are wrong.
@@ -181,6 +195,7 @@ class Evaluation(NamedTuple):
 
     loss: Scalar
     gradient: Vertices
+    by_lights: list[LightPose] | None
     images: list[Float[Array, "n h w"]]
     crossings: Int[Array, ""]
 
@@ -191,6 +206,8 @@ def evaluate(
     faces: Faces,
     edges: Edges,
     groups: list[ShapeView],
+    receivers: list[Receivers | None],
+    poses: list[LightPose] | None,
     technique: ShadowMapping,
     blur: Scalar,
     crossings: int,
@@ -201,27 +218,36 @@ def evaluate(
 
     - `groups`: views of one structure, with a leading axis. They are scanned, each with its own reverse pass, so that
         one view's program is compiled for a group, and memory holds one view.
+    - `receivers`: of groups whose pixels are their maps' texels.
+    - `poses`: of their lights, with a leading axis too; none if all are where the views have them.
     - `crossings`: for how many crossings of silhouettes with the sides of texels there is memory.
     """
     count = sum(group.reference.shape[0] for group in groups)
 
-    def loss_of(vertices: Vertices, view: ShapeView) -> tuple[Scalar, Any]:
-        mesh = _mesh(vertices, faces)
-        drawn = technique.map.draw(mesh, view.light, edges=edges, crossings=crossings, raises=False)
-        image = technique.visibility(drawn, view.surface) * cone_fraction(view.light, view.surface)
+    def loss_of(
+        at: tuple[Vertices, LightPose | None], view: ShapeView, aligned: Receivers | None
+    ) -> tuple[Scalar, Any]:
+        vertices, pose = at
+        mesh, light = _mesh(vertices, faces), view.light if pose is None else view.light.at(pose)
+        drawn = technique.map.draw(mesh, light, edges=edges, crossings=crossings, raises=False)
+        seen = technique.visibility(drawn, view.surface) if aligned is None else aligned.seen(drawn)
+        image = seen * cone_fraction(light, view.surface)
         difference = blurred((image - view.reference) * jnp.sqrt(view.weight), blur)
-        return jnp.sum(difference**2) / jnp.sum(view.weight), (image, drawn.crossings)
+        return jnp.sum(difference**2) / (jnp.sum(view.weight) * count), (image, drawn.crossings)
 
-    def add(total: Any, view: ShapeView) -> tuple[Any, Any]:
-        (loss, seen), gradient = jax.value_and_grad(loss_of, has_aux=True)(vertices, view)
-        return (total[0] + loss / count, total[1] + gradient / count), seen
+    def add(total: Any, each: tuple[ShapeView, Receivers | None, LightPose | None]) -> tuple[Any, Any]:
+        view, aligned, pose = each
+        (loss, seen), (gradient, by_light) = jax.value_and_grad(loss_of, has_aux=True)((vertices, pose), view, aligned)
+        return (total[0] + loss, total[1] + gradient), (*seen, by_light)
 
-    total, images, needed = (jnp.zeros((), vertices.dtype), jnp.zeros_like(vertices)), [], []
-    for group in groups:
-        total, (image, of_group) = jax.lax.scan(add, total, group)
+    total, images, needed, by_lights = (jnp.zeros((), vertices.dtype), jnp.zeros_like(vertices)), [], [], []
+    for group in zip(groups, receivers, [None] * len(groups) if poses is None else poses, strict=True):
+        total, (image, of_group, by_light) = jax.lax.scan(add, total, group)
         images.append(image)
         needed.append(jnp.max(of_group))
-    return Evaluation(total[0], total[1], images, jnp.max(jnp.stack(needed)))
+        by_lights.append(by_light)
+    gradient = None if poses is None else by_lights
+    return Evaluation(total[0], total[1], gradient, images, jnp.max(jnp.stack(needed)))
 
 
 def _mesh(vertices: Vertices, faces: Faces) -> Mesh:
@@ -230,18 +256,40 @@ def _mesh(vertices: Vertices, faces: Faces) -> Mesh:
     return Mesh(vertices, faces, none, none[:, 0])
 
 
-@eqx.filter_jit
-def pixels_reached(groups: list[ShapeView]) -> list[Int[Array, " n"]]:
-    """For each view, how many pixels that count lie in its map and are turned to its light."""
+class Sight(NamedTuple):
+    """What a light sees of its screen; of several, with a first axis.
 
-    def of_view(view: ShapeView) -> Int[Array, ""]:
+    - `reached`: (h, w), pixels that count, lie in the light's map, and are turned to it.
+    - `towards`: (h, w, 3), vectors to the light.
+    - `receivers`: the pixels in the light's map.
+    """
+
+    reached: Any
+    towards: Any
+    receivers: Receivers
+
+
+@eqx.filter_jit
+def sights(groups: list[ShapeView]) -> list[Sight]:
+    """Of each view, in each group along a first axis."""
+
+    def of_view(view: ShapeView) -> Sight:
         surface = view.surface
-        towards = jnp.sum(view.light.towards(surface.position) * surface.normal, axis=-1) > 0
+        towards = view.light.towards(surface.position)
         clip = view.light.view().facing(view.light.layer(surface.position)).clip(surface.position)
         inside = jnp.all(jnp.abs(clip[..., :3]) <= clip[..., 3:], axis=-1)
-        return jnp.sum((view.weight > 0) & surface.mask & towards & inside, dtype=jnp.int32)
+        is_turned = jnp.sum(towards * surface.normal, axis=-1) > 0
+        reached = (view.weight > 0) & surface.mask & inside & is_turned
+        return Sight(reached, towards, Receivers.of(clip, surface.mask, is_turned))
 
     return [jax.lax.map(of_view, group) for group in groups]
+
+
+def casts_shadow(mesh: Mesh, view: ShapeView, sight: Sight) -> bool:
+    """Whether a mesh hides the light from the centre of a pixel that counts."""
+    reached = np.asarray(sight.reached)
+    points, towards = np.asarray(view.surface.position)[reached], np.asarray(sight.towards)[reached]
+    return bool(occluded(mesh, points, towards, np.inf if view.light.is_directional else 1.0).any())
 
 
 def crossings_for(resolution: Resolution) -> int:

@@ -52,6 +52,19 @@ class SilhouetteMap(eqx.Module):
         pick = lambda plain, mean: jnp.where(self.slot == NO_SILHOUETTE, plain, take(mean, jnp.maximum(self.slot, 0)))
         return jax.tree.map(pick, function(depth), means)
 
+    def by_texel(
+        self, depth: Float[Array, "*l h w"]
+    ) -> tuple[Float[Array, "*l h w"], Float[Array, "*l h w"], Float[Array, "*l h w"]]:
+        """How large a part of each texel lies inside its half-planes, and the depths inside and elsewhere.
+
+        A texel without a silhouette is all inside. `depth` is the map's.
+        """
+        area = self.area_within(jnp.arange(self.inner.shape[0], dtype=jnp.int32), WHOLE_TEXEL)
+        pick = lambda plain, of_slot: jnp.where(
+            self.slot == NO_SILHOUETTE, plain, take(of_slot, jnp.maximum(self.slot, 0))
+        )
+        return pick(1, area), pick(depth, self.inner), pick(depth, self.outer)
+
     def area_within(
         self,
         slot: Int[Array, "*n"],

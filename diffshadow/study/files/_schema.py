@@ -310,6 +310,14 @@ class _UnseenShadow(_Part):
     rays: Fraction
 
 
+class _MovedLight(_Part):
+    """How far a light is from its place in the scene, degrees."""
+
+    light: str
+    before: Annotated[float, Field(ge=0)]
+    after: Annotated[float, Field(ge=0)]
+
+
 class _ShapeMetrics(_Part):
     """`chamfer`, `size`: world units, if the shape that casts the targets is known."""
 
@@ -317,6 +325,7 @@ class _ShapeMetrics(_Part):
     loss: Annotated[float, Field(ge=0)]
     lights: list[_Shadow] = Field(min_length=1)
     unseen: list[_UnseenShadow] = []
+    moved: list[_MovedLight] = []
     chamfer: Annotated[float, Field(ge=0)] | None = None
     size: Annotated[float, Field(gt=0)] | None = None
 

@@ -44,6 +44,7 @@ def report_shape(folder: Path, form: str | None = None, dpi: int | None = None) 
         summary=_summary(result),
         lights=[_light(arrays, i, light) for i, light in enumerate(measured["lights"])],
         unseen=measured.get("unseen", []),
+        moved=measured.get("moved", []),
         phases=result["phases"],
         chosen=result["chosen_phase"],
         loss=style.inline_svg(_loss(result, arrays), _CURVE),

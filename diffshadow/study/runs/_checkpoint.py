@@ -12,7 +12,8 @@ import numpy as np
 from ... import fit, io
 from ...config import Config, dump_resolved
 
-_ARRAYS = ("vertices", "faces", "free", "u", "mean", "square", "best_vertices", "best_faces")
+_OF_SHAPE = ("vertices", "faces", "free", "u", "mean", "square", "best_vertices", "best_faces")
+_ARRAYS = (*_OF_SHAPE, "lights", "light_mean", "light_square", "best_lights")
 _NUMBERS = ("phase", "step", "crossings")
 
 

@@ -3,7 +3,7 @@
 import contextlib
 import dataclasses
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -181,26 +181,29 @@ def _reference(
     config: Config, scene: geometry.Scene, image: Float32[HostArray, "h w"] | None, stages: Stages
 ) -> reference.Reference:
     try:
-        if image is not None:
-            return reference.reference_from_image(image, scene)
-        rays = getattr(config.reference, "samples", 0)
-        return traced(config, scene, lambda done: stages.show("tracing reference", f"{rays} rays per pixel", done))
+        return _traced(config, scene, stages) if image is None else reference.reference_from_image(image, scene)
     except ValueError as error:
         # Rays may miss a surface that the rasterizer finds at a pixel's edge.
         raise _error(config, ("scene", "camera"), str(error)) from error
 
 
-def traced(config: Config, scene: geometry.Scene, progress: Callable[[float], None] | None) -> reference.Reference:
-    """The reference of `config`, traced for a `scene` with one light, or from the cache."""
-    section = config.reference
-    assert isinstance(section, TracedReference)
-    how = section.how(config.seed)
+def _traced(config: Config, scene: geometry.Scene, stages: Stages) -> reference.Reference:
+    traced = config.reference
+    assert isinstance(traced, TracedReference)
+    show = lambda done: stages.show("tracing reference", f"{traced.samples} rays per pixel", done)
+    return trace(scene, traced.how(config.seed), show)
 
-    def trace() -> dict[str, HostArray]:
+
+def trace(
+    scene: geometry.Scene, how: Mapping[str, Any], progress: Callable[[float], None] | None = None
+) -> reference.Reference:
+    """What `reference.trace_visibility` finds with arguments `how`; read from disk if it was found before."""
+
+    def find() -> dict[str, HostArray]:
         found = reference.trace_visibility(scene, **how, progress=progress)
         return {field.name: np.asarray(getattr(found, field.name)) for field in dataclasses.fields(found)}
 
-    arrays = io.cached_arrays(reference.key_parts(scene, **how), trace)
+    arrays = io.cached_arrays(reference.key_parts(scene, **how), find)
     return reference.Reference(**{**arrays, "samples": int(arrays["samples"])})  # type: ignore[arg-type]
 
 

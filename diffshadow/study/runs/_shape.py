@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from ... import fit, geometry, io, metrics, raster, reference
+from ... import fit, geometry, io, metrics
 from ..._types import HostArray
 from ...config import Config, ConfigError, Mistake, Screen, ShapePlan, build_shape
 from ..files._run_folder import folder_of, write_whole
@@ -19,6 +19,7 @@ from ..files._stored import SHAPE, add_files
 from . import _record as record
 from ._checkpoint import Checkpoint
 from ._progress import Stages
+from ._setup import trace
 
 Image = Float[HostArray, "h w"]
 # Camera rays along a pixel's side, of targets and of the judge.
@@ -69,20 +70,23 @@ def run_shape(config: Config, *, console: Console) -> Path:
     return folder
 
 
-def shape_problem(config: Config, stages: Stages) -> tuple[ShapePlan, fit.ShapeProblem, list[Image]]:
-    """The problem of `config`, and its targets.
+def shape_problem(config: Config, stages: Stages | None = None) -> tuple[ShapePlan, fit.ShapeProblem, list[Image]]:
+    """The plan of `config`, whose section `fit.shape` is given, its problem, and the problem's targets.
 
     **Raises** `ConfigError` for a mesh, a light or an image that cannot be used.
     """
+    if stages is None:
+        with Stages(Console(quiet=True)) as quiet:
+            return shape_problem(config, quiet)
     with stages.stage("loading"):
         plan = build_shape(config)
     with stages.stage("tracing targets"):
-        targets = plan.images or [_traced(s, mesh) for s, mesh in zip(plan.seen, plan.targets, strict=True)]
+        targets = plan.images or [shadow_on(s, mesh) for s, mesh in zip(plan.seen, plan.targets, strict=True)]
     weights = plan.weights or [None] * len(targets)
     try:
         views = []
-        for screen, target, weight in zip(plan.seen, targets, weights, strict=True):
-            views.append(fit.ShapeView(screen.light, raster.draw_surface(screen.mesh, screen.camera), target, weight))
+        for screen, target, weight, (moves, light) in zip(plan.seen, targets, weights, plan.starts, strict=True):
+            views.append(fit.ShapeView(light, screen.surface(), target, weight, moves=moves))
         return plan, fit.ShapeProblem(plan.start, views, free=plan.free, symmetry=plan.symmetry), targets
     except ValueError as error:
         raise _error(config, str(error)) from error
@@ -103,8 +107,9 @@ def fit_configured_shape(config: Config, stages: Stages, checkpoint: Checkpoint)
             raise _error(config, str(error)) from error
     with stages.stage("tracing result"):
         mesh = result.mesh
-        rays = [_traced(screen, mesh) for screen in plan.seen]
-        pairs = [] if plan.truth is None else [(_traced(s, mesh), _traced(s, plan.truth)) for s in plan.unseen]
+        lit = [screen._replace(light=light) for screen, light in zip(plan.seen, result.lights, strict=True)]
+        rays = [shadow_on(screen, mesh) for screen in lit]
+        pairs = [] if plan.truth is None else [(shadow_on(s, mesh), shadow_on(s, plan.truth)) for s in plan.unseen]
     kept.append((np.asarray(mesh.vertices), np.asarray(mesh.faces)))
     return FittedShapeRun(config, plan, result, targets, rays, pairs, kept)
 
@@ -129,9 +134,9 @@ def _watch(
     return show
 
 
-def _traced(screen: Screen, mesh: geometry.Mesh) -> Image:
-    seen = reference.trace_visibility(screen.scene(mesh), 1, supersampling=_RAYS)
-    return np.asarray(seen.visibility)
+def shadow_on(screen: Screen, mesh: geometry.Mesh) -> Image:
+    """The shadow of a mesh on a screen, by rays. One that was traced before is read from disk."""
+    return np.asarray(trace(screen.scene(mesh), {"samples": 1, "supersampling": _RAYS}).visibility)
 
 
 def _measured(fitted: FittedShapeRun) -> dict[str, Any]:
@@ -147,11 +152,30 @@ def _measured(fitted: FittedShapeRun) -> dict[str, Any]:
     if fitted.unseen:
         pairs = zip(plan.unseen, fitted.unseen, strict=True)
         found["unseen"] = [{"light": screen.key, "rays": overlap(*both)} for screen, both in pairs]
+    if any(moves for moves, _ in plan.starts):
+        middle = np.asarray(plan.start.bounds, np.float64).mean(axis=0)
+        off = lambda screen, light: _degrees_between(screen.light, light, middle)
+        found["moved"] = [
+            {"light": screen.key, "before": off(screen, start), "after": off(screen, end)}
+            for screen, (moves, start), end in zip(plan.seen, plan.starts, result.lights, strict=True)
+            if moves
+        ]
     if plan.truth is not None:
         triangles = lambda mesh: (np.asarray(mesh.vertices), np.asarray(mesh.faces))
         found["chamfer"] = metrics.chamfer_distance(triangles(result.mesh), triangles(plan.truth))
         found["size"] = float(np.ptp(np.asarray(plan.truth.bounds), axis=0).max())
     return found
+
+
+def _degrees_between(
+    light: geometry.AbstractLight, other: geometry.AbstractLight, middle: Float[HostArray, "3"]
+) -> float:
+    """The angle between the directions of two suns, or by which a lamp is displaced as a shape's `middle` sees it."""
+    if light.is_directional:
+        a, b = (np.asarray(each.direction, np.float64) for each in (light, other))  # type: ignore[attr-defined]
+        return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))
+    a, b = (np.asarray(each.pose().place, np.float64) for each in (light, other))
+    return float(np.degrees(np.arctan2(np.linalg.norm(b - a), np.linalg.norm(a - middle))))
 
 
 def _result(
@@ -211,6 +235,10 @@ def _print(console: Console, name: str, measured: dict[str, Any], seconds: float
     if "chamfer" in measured:
         share = measured["chamfer"] / measured["size"]
         lines.append(f"Chamfer distance {measured['chamfer']:.4g} world units, {share:.2%} of the shape's size")
+    for light in measured.get("moved", ()):
+        lines.append(
+            f"{light['light']} is {light['after']:.3f}° from its place in the scene, {light['before']:.3f}° before"
+        )
     for line in (*lines, f"{seconds:.1f} s in all"):
         console.print(Text(line), soft_wrap=True)
 
