@@ -101,8 +101,10 @@ class Server:
 class File(tornado.web.RequestHandler):
     """The files of the page."""
 
-    def get(self, name: str) -> None:
+    def prepare(self) -> None:
         check_host(self)
+
+    def get(self, name: str) -> None:
         self.set_header("Content-Type", f"{_FILES[name]}; charset=utf-8")
         self.set_header("Content-Security-Policy", _POLICY)
         self.set_header("X-Content-Type-Options", "nosniff")
@@ -113,8 +115,10 @@ class File(tornado.web.RequestHandler):
 class Page(tornado.websocket.WebSocketHandler):
     """One page: what it looks at, and what it has been shown."""
 
-    def open(self, *_: str, **__: str) -> None:
+    def prepare(self) -> None:
         check_host(self)
+
+    def open(self, *_: str, **__: str) -> None:
         self.server: Server = self.settings["server"]
         self.server.pages.add(self)
         self.look: Look | None = None
@@ -211,9 +215,7 @@ class Page(tornado.websocket.WebSocketHandler):
     async def _draw(self, look: Look, at_rest: bool) -> None:
         self.is_new = self.is_rough = False
         viewer = self.server.viewer
-        slow = self.server.loop.call_later(
-            _LONG, lambda: self.tell(note="drawing this for the first time takes longer")
-        )
+        slow = self.server.loop.call_later(_LONG, self.tell_that_it_takes_long)
         try:
             built = look.state.model_copy(update={"numbers": {}, "camera": None, "fitted": None}).model_dump_json()
             if built != self.built:

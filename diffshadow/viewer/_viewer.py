@@ -15,7 +15,7 @@ from .. import study
 from ..config import Config, ConfigError, changed, dump_resolved, parse_config
 from ._fits import Fit
 from ._pictures import figures_of, picture_of, views_of
-from ._stages import Frame, Picture, Stages
+from ._stages import Frame, Picture, Stage, Stages
 from ._state import Look, State
 from ._subject import Subject, value_at
 from ._trace import Tracer
@@ -50,7 +50,7 @@ class Viewer:
         self.config, self.name = config, name
         self.stages = Stages()
         self.tracer, self.fit = Tracer(traced), Fit(fitted)
-        self._subjects: dict[str, Subject] = {}
+        self._subjects = Stage()
         self.subject(State())
 
     @property
@@ -64,18 +64,14 @@ class Viewer:
         **Raises** `ConfigError` if it is not valid, or cannot be built.
         """
         key = json.dumps([state.scene, list(state.structure.items())])
-        if key not in self._subjects:
-            chosen = [view.config for view in self.config.views if view.name == state.scene]
-            config = _alone(chosen[0] if chosen else self.config)
-            if state.structure:
-                config = parse_config(
-                    dump_resolved(config), overrides_of(state.structure), source="the page's settings"
-                )
-            self._subjects[key] = Subject(config)
-            while len(self._subjects) > 4:
-                del self._subjects[next(iter(self._subjects))]
-        found = self._subjects[key] = self._subjects.pop(key)
-        return found
+        return self._subjects(key, lambda: Subject(self._structured(state)))
+
+    def _structured(self, state: State) -> Config:
+        chosen = [view.config for view in self.config.views if view.name == state.scene]
+        config = _alone(chosen[0] if chosen else self.config)
+        if not state.structure:
+            return config
+        return parse_config(dump_resolved(config), overrides_of(state.structure), source="the page's settings")
 
     def frame(self, look: Look, *, full: bool) -> Frame:
         """What `look` shows, in full or half size."""

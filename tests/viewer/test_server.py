@@ -165,8 +165,10 @@ def test_pages_and_hosts_of_others_are_refused():
         for path, headers in (("", {"Host": "example.com"}), ("etc/passwd", {}), ("_server.py", {})):
             found = await client.fetch(server.address + path, headers=headers, raise_error=False)
             assert found.code in (403, 404)
-        with pytest.raises(Exception, match="403"):
-            await opened(Origin="http://example.com")
+        # A page of another origin; and one whose name leads here.
+        for host, origin in ((None, "http://example.com"), ("example.com", "http://example.com")):
+            with pytest.raises(Exception, match="403"):
+                await opened(Origin=origin, **({} if host is None else {"Host": host}))
 
     talking(script)
 
