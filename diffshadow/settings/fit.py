@@ -179,7 +179,7 @@ class Shape(Settings):
     ] = None
     pinned: Annotated[Coordinate | None, "vertices of the start below this height stay"] = None
     moves: Annotated[
-        tuple[int, ...],
+        tuple[Annotated[int, Limits(0, 1 << 16)], ...],
         Form("a list of whole numbers", "[0, 2]"),
         "which of the scene's lights, counted from 0, are fitted together with the shape",
     ] = ()

@@ -103,6 +103,7 @@ def test_a_number_and_a_minimiser_find_known_values(least_absolute, known):
     assert result.flat == []
 
 
+@pytest.mark.exhaustive
 def test_the_hard_compare_judges_by_the_users_loss(least_absolute, known):
     result, _ = least_absolute
     for phase in result.phases:

@@ -136,6 +136,7 @@ def found():
     return made, fit(made, [SHIFT, *ENDS], anneal=SHORT, solver=Solver("lbfgs", 10), search=Search(evaluations=12))
 
 
+@pytest.mark.exhaustive
 def test_a_bias_is_fitted_by_gradient_between_the_searches(found):
     _, result = found
     assert [phase.searched > 0 for phase in result.phases] == [True, False, False, True, False]

@@ -222,6 +222,7 @@ def test_problems_that_cannot_be_fitted_are_refused(walls, views):
             make()
 
 
+@pytest.mark.exhaustive
 def test_lights_that_miss_their_screen_and_starts_without_a_shadow_are_refused(walls, views):
     far = eqx.tree_at(lambda light: light.center, walls[1][0], jnp.array([0.0, 0.0, 9.0]))
     aside = dataclasses.replace(views[1], light=far)

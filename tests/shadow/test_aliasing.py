@@ -64,6 +64,7 @@ def test_a_map_drawn_from_the_cameras_own_view_matches_it(light):
         )
 
 
+@pytest.mark.exhaustive
 def test_perspective_and_projection_are_factors():
     # A wall that the light grazes: its texels are long on the screen, but not because of perspective.
     wall = quad((0, 0, 0), (2, 0, 0), (0, 2, 0))

@@ -349,6 +349,7 @@ def matrices(light):
     return view.matrix, view.world_to_eye
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("light", LIGHTS)
 def test_receivers_know_the_size_of_their_texels(light):
     """Against the projection itself: steps of a share of a texel's width move a point by that share of a texel."""
@@ -504,6 +505,7 @@ def slopes_of_terms(bias, at, step):
     return jax.jvp(terms, (numbers,), (steps,))
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("case", GRADIENTS)
 def test_terms_of_a_bias_follow_every_parameter(case):
     with jax.enable_x64(True):

@@ -468,6 +468,7 @@ def test_a_blend_leads_from_one_map_to_the_next(grid_map):
     np.testing.assert_allclose(blended, weight * sharp + (1 - weight) * following, atol=1e-5)
 
 
+@pytest.mark.exhaustive
 def test_shadows_end_or_fade_at_the_shadow_distance(grid):
     technique = in_grid(given_slices(6.0, 11.0))
     state = technique.prepare(grid)

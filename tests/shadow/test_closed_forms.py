@@ -13,6 +13,7 @@ from scenes import (
     floor_camera,
     lookups_at,
     map_of,
+    marked,
     quad,
     shadows,
     side_camera,
@@ -158,7 +159,7 @@ def acne_of_filters(names, shadow_map, surface, radius):
 
 
 @pytest.mark.parametrize(("angle", "azimuth"), PLANES)
-@pytest.mark.parametrize("light", OVERHEAD)
+@pytest.mark.parametrize("light", marked(OVERHEAD, list(OVERHEAD)[1:]))
 def test_receiver_plane_leaves_no_acne_on_a_plane_under_any_kernel(light, angle, azimuth):
     shadow_map, surface = lit_plane(angle, azimuth, light)
     seen = np.sum(surface.mask)

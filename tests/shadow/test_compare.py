@@ -123,6 +123,7 @@ def test_border_is_lit_in_every_direction(name, compare):
     assert (lit[~outside] < (1 if compare == EXPONENTIAL else 0.5)).all()
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("name", "compare"), PAIRS)
 def test_empty_texels_never_darken(name, compare):
     rng = np.random.default_rng(0)

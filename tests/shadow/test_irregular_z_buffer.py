@@ -203,6 +203,7 @@ def test_a_lid_hides_every_point_and_one_below_them_hides_none(light):
         assert (visibility[mask] == expected).all()
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("light", ["spot", "point"])
 def test_triangles_across_the_lights_plane_hide_what_they_hide(light):
     position = np.asarray(LIGHTS[light]().position)

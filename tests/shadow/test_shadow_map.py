@@ -242,6 +242,7 @@ def ball(segments=12, rings=11, radius=0.5):
     return Mesh(radius * vertices + np.array([0, 0.5, 0]), np.concatenate(faces))
 
 
+@pytest.mark.exhaustive
 def test_closed_meshes_need_no_bias_where_the_map_holds_more_than_their_lit_side():
     mesh, direction, rng = ball(), np.array([0.3, -1, -0.2]), np.random.default_rng(0)
     light = DirectionalLight(direction, (0, 0.5, 0), (1.2, 1.2), -1, 1)

@@ -85,6 +85,7 @@ def test_a_technique_of_ones_own_is_one(seen):
         AbstractTechnique()
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("silhouettes", marked([None, False, True], [True]))
 def test_the_prepared_map_is_that_of_the_settings(silhouettes):
     offset = 1.0, 2.0

@@ -457,6 +457,7 @@ def test_folder_has_ranking_verdict_page_and_recommended_configuration(finished)
     assert "the recommended configuration is in recommended.yaml" in said
 
 
+@pytest.mark.exhaustive
 def test_recommended_configuration_renders_with_the_error_that_it_was_ranked_by(finished):
     _, folder, _ = finished
     stored = result_of(folder)["advice"]

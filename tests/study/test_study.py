@@ -399,6 +399,7 @@ def test_resolved_config_loads_to_the_same_settings(finished, monkeypatch):
     assert load_config(folder / "config.yaml", []) == load_config(home / "tiny.yaml", [])
 
 
+@pytest.mark.exhaustive
 def test_second_run_traces_nothing_and_finds_the_same(finished, monkeypatch, tmp_path):
     _, _, home = finished
     shutil.copytree(home, tmp_path, dirs_exist_ok=True)

@@ -422,6 +422,7 @@ def test_run_folder_says_what_was_done_and_does_it_again(finished):
     assert result["metrics"]["rmse"] == table(folder)["rmse"][3]
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("kind", "where", "images", "end"), [("render", "_render", 1, "-render"), ("fit", "_fitted", 2, "")]
 )

@@ -129,6 +129,7 @@ def test_the_own_map_is_the_engines_where_the_near_plane_cuts():
     assert (np.abs(pushed - golden.arrays["map_depth"]) > 1e-4).sum() <= 4
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", marked([name for name in CASES if "pcss" in name], REPEATED))
 def test_means_agree_with_our_own_random_numbers(name):
     golden = engine_golden("babylon", name)

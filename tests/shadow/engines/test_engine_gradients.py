@@ -61,9 +61,7 @@ def title(case) -> str:
     return f"{engine}-{technique.shadow_type if engine == 'three' else technique.filter}-{light}"
 
 
-USUAL = [
-    *("three-PCFShadowMap-window", "babylon-POISSONSAMPLING-cube"),
-]
+USUAL = ("three-PCFShadowMap-window",)
 """What is tried every time."""
 
 
