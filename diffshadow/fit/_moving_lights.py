@@ -22,7 +22,7 @@ _LEAST_COSINE = 0.1
 
 
 class MovingLights(NamedTuple):
-    """The lights of groups of views, of which some move.
+    """The lights of groups of views. Some of them move.
 
     - `groups`: for each group its views' lights, along a first axis.
     - `starts`: for each, the numbers of the lights' poses, (n, k); `treedefs`: how they make a pose.

@@ -19,7 +19,7 @@ from ._subject import Subject, at_most
 ANIMATION = "animation.webp"
 """The file in a fit's folder."""
 PIXELS = 384 * 288
-"""The most pixels of a frame, unless another number is asked for."""
+"""The most pixels of a frame, by default."""
 # How long the last frame of a fit stays, and each other one, in milliseconds.
 _LAST, _STEP = 2000, 90
 # The most frames of a fit.

@@ -23,7 +23,7 @@ from ._viewer import Viewer, reason_of
 HOST = "127.0.0.1"
 # Seconds without a change after which a picture is drawn in full size.
 _REST = 0.25
-# Seconds after which a page is told that its picture takes long.
+# Seconds after which a page says that its picture takes long.
 _LONG = 0.7
 _MAX_MESSAGE = 1 << 18
 _MOST_PORT = (1 << 16) - 1

@@ -1,4 +1,4 @@
-"""Drawing in stages, each of which keeps its last results: only what depends on a change is drawn again.
+"""Draws in stages. Each stage keeps its last results, so that only what depends on a change is drawn again.
 
 | stage | depends on |
 |---|---|
@@ -58,7 +58,7 @@ class Stages:
 
 
 class Frame:
-    """One picture of a subject: what a page looks at, in a size. Each of its parts is drawn when it is asked for.
+    """One picture of a subject in a size, as a page looks at it. Each part is drawn when it is first used.
 
     - `config`: with all numbers of the page; another one of the same structure may be given.
     - `size`: (height, width), in pixels.

@@ -109,7 +109,7 @@ class Subject:
         config = self.at(state)
         names = self.fitted if state.fitted is None else state.fitted
         parameters = {name: self._bounds(config, name) for name in names}
-        # Maps reach as far as those of the page.
+        # Its maps have the margins of the page's maps.
         whole = changed(config, technique=_wide(config, self.sliders).technique)
         override = [f"fit.parameters={json.dumps(parameters)}"] if parameters else []
         return parse_config(dump_resolved(whole), override, source="the page's settings", fitting=fitting)
