@@ -8,9 +8,7 @@ import contextlib
 import io
 import os
 import re
-import signal
 import sys
-import threading
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib.metadata import version
@@ -22,6 +20,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
+from ._interrupts import repeated_interrupts, reported_interrupts
 from ._setup import setup
 from .config import (
     DEFAULT_TEMPLATE,
@@ -48,8 +47,6 @@ _MAX_WORKERS_PER_CORE = 4
 _MAX_FRAMES = 1000
 # A number that changes, as KEY=FROM:TO.
 _CHANGE = re.compile(r"([^=]+)=([-+.\deE]*\d\.?):([-+.\deE]*\d\.?)")
-# Seconds until a Ctrl-C without effect is repeated.
-_INTERRUPT_INTERVAL = 0.2
 # Runs between updates of the progress bar: about a tenth of a second.
 _RUNS_PER_UPDATE = 100
 
@@ -560,7 +557,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     try:
-        with _reported_interrupts(), _repeated_interrupts():
+        with reported_interrupts(), repeated_interrupts():
             app(
                 sys.argv[1:] if arguments is None else list(arguments),
                 exit_on_error=False,
@@ -585,56 +582,6 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         _print_error(errors, [_NO_MEMORY])
         sys.exit(USER_ERROR)
     sys.exit(SUCCESS)
-
-
-@contextlib.contextmanager
-def _reported_interrupts() -> Iterator[None]:
-    """Raises `KeyboardInterrupt` for the error that JAX makes of one in a callback, whose text alone names it."""
-    try:
-        yield
-    except RuntimeError as error:
-        if KeyboardInterrupt.__name__ in str(error):
-            raise KeyboardInterrupt from error
-        raise
-
-
-@contextlib.contextmanager
-def _repeated_interrupts() -> Iterator[None]:
-    """Repeats the `KeyboardInterrupt` of Ctrl-C until it has an effect.
-
-    Python raises it wherever the main thread happens to be. A callback of the garbage collector drops it with a
-    message. Native code that calls Python, such as Pydantic's, may drop it silently.
-
-    A shell starts the background jobs of a script with Ctrl-C ignored. So it stays, as in other programs: SIGTERM ends
-    them.
-    """
-    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
-        yield
-        return
-
-    def interrupt(*_: Any) -> None:
-        signal.setitimer(signal.ITIMER_REAL, _INTERRUPT_INTERVAL)
-        # Do not interrupt the handling of the first one.
-        error = sys.exception()
-        while error is not None:
-            if isinstance(error, KeyboardInterrupt):
-                return
-            error = error.__context__
-        raise KeyboardInterrupt
-
-    def report(unraisable: Any) -> None:
-        if not issubclass(unraisable.exc_type, KeyboardInterrupt):
-            others(unraisable)
-
-    others, sys.unraisablehook = sys.unraisablehook, report
-    before = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGALRM)}
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        for number, handler in before.items():
-            signal.signal(number, handler)
-        sys.unraisablehook = others
 
 
 def _file_of(given: Path, *, sweep: bool = False) -> Path:

@@ -31,13 +31,14 @@ FOLDERS = {
 }
 # Outside the order: what each may import, and which may import it.
 ASIDE_IMPORTS = {"reference": {"geometry"}, "metrics": set(), "io": {"geometry"}, "_xla": set(), "_memory": set()}
-ASIDE_IMPORTS |= {"_display": set(), "_setup": {"_display", "_xla", "_memory", "io"}}
+ASIDE_IMPORTS |= {"_interrupts": set(), "_display": set(), "_setup": {"_display", "_xla", "_memory", "io"}}
 IMPORTED_BY = {
     "reference": {"fit", "study", "viewer"},
     "metrics": {"study", "viewer"},
     "io": {"config", "study", "viewer", "cli"},
     "_xla": {"study"},
     "_memory": {"study"},
+    "_interrupts": {"cli"},
     "_display": set(),
     "_setup": {"cli"},
 }

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 from scenes import staying_in
 
-from diffshadow.cli import _repeated_interrupts, main
+from diffshadow._interrupts import repeated_interrupts
+from diffshadow.cli import main
 from diffshadow.study.sweeps._interrupts import deferred_interrupts, out_of_reach
 
 
@@ -137,7 +138,7 @@ def test_interrupt_that_is_dropped_is_repeated(capsys):
             time.sleep(0.01)
 
     def wait():
-        with _repeated_interrupts():
+        with repeated_interrupts():
             made = Dropped()
             del made
             time.sleep(5)
@@ -155,7 +156,7 @@ def test_interrupt_is_not_repeated_while_the_first_is_heeded():
     ended = []
 
     def end():
-        with _repeated_interrupts():
+        with repeated_interrupts():
             try:
                 signal.raise_signal(signal.SIGINT)
             finally:
@@ -170,7 +171,7 @@ def test_interrupt_is_not_repeated_while_the_first_is_heeded():
 def test_interrupts_that_are_ignored_stay_so():
     """A shell starts the background jobs of a script like this."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with _repeated_interrupts(), deferred_interrupts() as interrupted:
+    with repeated_interrupts(), deferred_interrupts() as interrupted:
         signal.raise_signal(signal.SIGINT)
         interrupted()
         assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN

@@ -1,0 +1,61 @@
+"""Ctrl-C while native code runs: it is neither lost nor turned into another error."""
+
+import contextlib
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+# Seconds until a Ctrl-C without effect is repeated.
+_INTERRUPT_INTERVAL = 0.2
+
+
+@contextlib.contextmanager
+def reported_interrupts() -> Iterator[None]:
+    """Raises `KeyboardInterrupt` for the error that JAX makes of one in a callback, whose text alone names it."""
+    try:
+        yield
+    except RuntimeError as error:
+        if KeyboardInterrupt.__name__ in str(error):
+            raise KeyboardInterrupt from error
+        raise
+
+
+@contextlib.contextmanager
+def repeated_interrupts() -> Iterator[None]:
+    """Repeats the `KeyboardInterrupt` of Ctrl-C until it has an effect.
+
+    Python raises it wherever the main thread happens to be. A callback of the garbage collector drops it with a
+    message. Native code that calls Python, such as Pydantic's, may drop it silently.
+
+    A shell starts the background jobs of a script with Ctrl-C ignored. So it stays, as in other programs: SIGTERM ends
+    them.
+    """
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+        yield
+        return
+
+    def interrupt(*_: Any) -> None:
+        signal.setitimer(signal.ITIMER_REAL, _INTERRUPT_INTERVAL)
+        # Do not interrupt the handling of the first one.
+        error = sys.exception()
+        while error is not None:
+            if isinstance(error, KeyboardInterrupt):
+                return
+            error = error.__context__
+        raise KeyboardInterrupt
+
+    def report(unraisable: Any) -> None:
+        if not issubclass(unraisable.exc_type, KeyboardInterrupt):
+            others(unraisable)
+
+    others, sys.unraisablehook = sys.unraisablehook, report
+    before = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGALRM)}
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        sys.unraisablehook = others
