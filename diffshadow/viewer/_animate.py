@@ -36,6 +36,10 @@ class Change(NamedTuple):
     first: float
     last: float
 
+    def at(self, part: float) -> float:
+        """The number after a part of the way, from 0 to 1."""
+        return self.first + part * (self.last - self.first)
+
 
 class Animation(NamedTuple):
     """The file of an animation; and how much its shadow shimmers, `metrics.flicker`, where a reference was traced."""
@@ -55,19 +59,19 @@ def animate(
     pixels: int = PIXELS,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> "Animation":
-    """Writes `config` with numbers that change evenly from frame to frame, there and back again for ever.
+    """Writes `config` with numbers that change evenly from frame to frame, again and again.
 
     **Arguments:**
 
     - `changes`: any numbers of the schema, all at once.
     - `output`: an animated `.webp`, `.gif` or `.png` file.
-    - `frames`, `seconds`: how many frames, and how long they take one way.
+    - `frames`, `seconds`: how many frames, and how long they take together.
     - `view`: what is shown; `reference`, `error` and `acne and leaks` trace rays for each frame.
     - `pixels`: the most pixels of a frame.
     - `progress`: called with the number of frames done, and of all.
 
-    **Raises** `ConfigError` for a key that does not exist or a value out of its limits, before
-    anything is drawn, and `FileError` if the file cannot be written.
+    **Raises** `ConfigError` for a key that does not exist or a value out of its limits, before anything is drawn, and
+    `FileError` if the file cannot be written.
     """
     check_value("--view", view, View)
     text, stages = dump_resolved(config), Stages()
@@ -124,9 +128,10 @@ def animate_run(folder: Path, output: Path | None = None, *, pixels: int = PIXEL
     for number, values in _steps(run):
         state = State(numbers=dict(zip(names, values, strict=True)))
         frame = Frame(stages, subject, Look(state=state), light.reference.shape)
-        wrong = np.where(light.mask, np.asarray(frame.visibility(0)) - light.reference, 0)
+        image = np.asarray(frame.visibility(0))
+        wrong = np.where(light.mask, image - light.reference, 0)
         both = np.concatenate([frame.shaded(), as_picture(study.difference_colours(wrong, light.mask))], axis=1)
-        error = float(np.sqrt(np.mean(wrong[light.mask].astype(np.float64) ** 2)))
+        error = metrics.rmse(image, light.reference, light.mask)
         words = [f"step {number}", f"RMSE {error:.4f}", *(f"{n} {v:.3g}" for n, v in state.numbers.items())]
         pictures.append(_captioned(both, "   ".join(words), at_most((both.shape[0], both.shape[1]), pixels)))
     written = folder / ANIMATION if output is None else output
@@ -139,13 +144,13 @@ def animate_run(folder: Path, output: Path | None = None, *, pixels: int = PIXEL
 
 def _settings(changes: Sequence[Change], at: float) -> list[str]:
     """The overrides of all changes after the part `at` of the way."""
-    return [f"{each.key}={each.first + at * (each.last - each.first)!r}" for each in changes]
+    return [f"{each.key}={each.at(at)!r}" for each in changes]
 
 
 def _between(config: Config, changes: Sequence[Change], at: float) -> Config:
     """`config` after the part `at` of all changes."""
     for each in changes:
-        config = with_number(config, each.key, each.first + at * (each.last - each.first))
+        config = with_number(config, each.key, each.at(at))
     return config
 
 
@@ -159,7 +164,7 @@ def _steps(run: study.StoredRun) -> list[tuple[int, list[float]]]:
     values = study.history(run.result, run.arrays)["values"]
     every = -(-len(values) // _MOST_STEPS)
     chosen = range(0, len(values), every)
-    result = [float(run.result["fitted"][name]) for name in run.result["fitted"]]
+    result = list(run.result["fitted"].values())
     return [*((number, values[number].tolist()) for number in chosen), (len(values), result)]
 
 

@@ -13,6 +13,13 @@ from ..config import Config, ConfigError
 _DIGITS = 8
 
 
+def reason_of(error: Exception) -> str:
+    """What to say about an `error`."""
+    if isinstance(error, ConfigError):
+        return "; ".join(f"{mistake.key}: {mistake.message}" for mistake in error.mistakes)
+    return str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
+
+
 class Fit:
     """At most one fit, in a thread of its own.
 
@@ -52,10 +59,8 @@ class Fit:
             run = study.fit_technique(config, stages, on_step)
         except _StoppedError:
             self._tell(running=False, note="stopped; the sliders stand where it was")
-        except ConfigError as error:
-            self._tell(running=False, error=" ".join(mistake.message for mistake in error.mistakes))
         except Exception as error:
-            self._tell(running=False, error=f"{type(error).__name__}: {error}")
+            self._tell(running=False, error=reason_of(error))
         else:
             values = {name: float(f"{value:.{_DIGITS}g}") for name, value in run.result.fitted.items()}
             self._tell(running=False, note=run.verdict.sentence, values=values, done=True)

@@ -42,7 +42,9 @@ class OpenPage:
     @property
     def config(self) -> Config:
         """The configuration as the page was left: a render of it draws the same."""
-        return self._server.viewer.subject(self._state).saved(self._state)
+        viewer, state = self._server.viewer, self._state
+        # In the thread that draws, like all that a viewer does.
+        return self._server.drawing.submit(lambda: viewer.subject(state).saved(state)).result()
 
     def close(self) -> None:
         """Ends the page. Its values stay."""
@@ -78,6 +80,8 @@ def view(what: Any, *overrides: str, port: int = 0) -> OpenPage:
     """
     if isinstance(what, TechniqueProblem | PoseProblem):
         what = what.scene
+        if what is None:
+            raise ValueError("the problem has no scene; expected one with a scene, as TechniqueProblem.of makes it")
     if isinstance(what, Scene):
         return OpenPage(_config_of(what, overrides), "scene", port)
     if isinstance(what, str | os.PathLike):
@@ -95,7 +99,7 @@ def _config_of(scene: Scene, overrides: tuple[str, ...]) -> Config:
     folder = Path(_FOLDERS[-1].name)
     io.write_gltf(folder / "scene.glb", scene)
     pose, size = scene.lights[0].pose(), "angular_radius" if scene.lights[0].is_directional else "radius"
-    # No file format has the sizes of lights.
+    # An import leaves out the sizes of lights.
     sized = [] if pose.radius is None else [f"scene.light.{size}={float(pose.radius)!r}"]
     made = study.import_scene(
         folder / "scene.glb", console=Console(quiet=True), technique="shadow_map", output=folder / "scene"

@@ -17,8 +17,9 @@ from pydantic import ValidationError
 from tornado.httpserver import HTTPServer
 
 from ..config import Config
+from ._fits import reason_of
 from ._state import Look, Message, State
-from ._viewer import Viewer, reason_of
+from ._viewer import Viewer
 
 HOST = "127.0.0.1"
 # Seconds without a change after which a picture is drawn in full size.

@@ -12,7 +12,7 @@ from PIL import Image
 from rich.console import Console
 
 from .. import study
-from ..config import Config, ConfigError, changed, dump_resolved, parse_config
+from ..config import Config, changed, dump_resolved, parse_config
 from ._fits import Fit
 from ._pictures import figures_of, picture_of, views_of
 from ._stages import Frame, Picture, Stage, Stages
@@ -192,13 +192,6 @@ def settings_of(state: State, given: Config, now: Config) -> dict[str, Any]:
 def overrides_of(settings: dict[str, Any]) -> list[str]:
     """`settings` as KEY=VALUE."""
     return [f"{key}={json.dumps(value)}" for key, value in settings.items()]
-
-
-def reason_of(error: Exception) -> str:
-    """What to say about an `error`."""
-    if isinstance(error, ConfigError):
-        return "; ".join(f"{mistake.key}: {mistake.message}" for mistake in error.mistakes)
-    return str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
 
 
 def _alone(config: Config) -> Config:

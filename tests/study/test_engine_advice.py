@@ -167,7 +167,7 @@ def test_the_code_to_paste_ends_the_output_and_is_on_the_page(quick, engine, suf
 
 
 def test_time_of_all_fits_follows_from_the_first(monkeypatch):
-    """Of what is done once, it has to be done once; the rest is done in turns by the workers."""
+    """What all fits share is done once. The workers take turns at the rest."""
     clock = iter([0.0, 53.0])
     monkeypatch.setattr(time, "perf_counter", lambda: next(clock))
     out = text_io.StringIO()
