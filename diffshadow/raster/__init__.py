@@ -1,6 +1,8 @@
 """Rasterization: the face that each pixel sees, and its depth and attributes."""
 
 from ..settings.maps import Cull
+from ._antialias import AntialiasedSurface, AntialiasPlan, draw_antialiased, plan_antialiasing
+from ._corners import rasterize_with_corners as rasterize_with_corners
 from ._counts import count_fragments
 from ._depth_test import DepthTest
 from ._fixed import SUBPIXELS
@@ -15,6 +17,7 @@ from ._irregular import hidden_points as hidden_points
 from ._irregular import seen_points as seen_points
 from ._items import Items as Items
 from ._rasterize import NO_FACE, Fragments, rasterize, rasterize_depth
+from ._segments import Segments as Segments
 from ._silhouettes import Silhouettes as Silhouettes
 from ._silhouettes import light_sides as light_sides
 from ._silhouettes import silhouettes_by_adjacency as silhouettes_by_adjacency
@@ -23,6 +26,8 @@ from ._surface import Surface, draw_surface
 __all__ = [
     "NO_FACE",
     "SUBPIXELS",
+    "AntialiasPlan",
+    "AntialiasedSurface",
     "Barycentrics",
     "Cull",
     "DepthTest",
@@ -30,10 +35,12 @@ __all__ = [
     "Surface",
     "barycentrics",
     "count_fragments",
+    "draw_antialiased",
     "draw_surface",
     "interpolate",
     "interpolate_corners",
     "interpolate_depth",
+    "plan_antialiasing",
     "rasterize",
     "rasterize_depth",
     "visible_depth",

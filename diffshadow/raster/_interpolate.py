@@ -42,6 +42,13 @@ class Rows(NamedTuple):
     tile: Tile | None = None
 
 
+class Points(NamedTuple):
+    """Places in the window: normalized device coordinates, (n,) each."""
+
+    x: Float[Array, " n"]
+    y: Float[Array, " n"]
+
+
 def by_bands(
     function: Callable[[FaceMap, Rows], Any], face: FaceMap, *, band: int | None = None, tile: Tile | None = None
 ) -> Any:
@@ -108,20 +115,20 @@ def barycentrics(face: FaceMap, clip: ClipVertices, faces: Faces, rows: Rows | N
     - `faces`: (f, 3), indices into `clip`.
     - `rows`: which rows of the image `face` holds; all of them if left out.
     """
-    return barycentrics_in_rows(face, corner_values(clip, faces, face.size), rows or Rows(0, face.shape[0]))
+    return barycentrics_at(face, corner_values(clip, faces, face.size), rows or Rows(0, face.shape[0]))
 
 
-def barycentrics_in_rows(face: FaceMap, clip: CornerValues, rows: Rows) -> Barycentrics:
-    """`barycentrics` of some rows of an image, whose faces are `face`; `clip` has all four coordinates."""
-    return _locate(face, clip, rows)[0]
+def barycentrics_at(face: FaceMap, clip: CornerValues, places: Rows | Points) -> Barycentrics:
+    """`barycentrics` in some rows of an image, or at points, of the faces `face`; `clip` has all four coordinates."""
+    return _locate(face, clip, places)[0]
 
 
-def _locate(face: FaceMap, clip: CornerValues, rows: Rows) -> tuple[Barycentrics, Mask]:
-    """Where the pixels' centres lie on their faces, and which of them were not pulled back onto them."""
+def _locate(face: FaceMap, clip: CornerValues, places: Rows | Points) -> tuple[Barycentrics, Mask]:
+    """Where pixels' centres, or points, lie on their faces, and which of them were not pulled back onto them."""
     mask = face >= 0
     face = jnp.maximum(face, 0)
     x, y, _, w = clip(face)
-    X, Y = _centres(face.shape, rows, w[0].dtype)
+    X, Y = places if isinstance(places, Points) else _centres(face.shape, places, w[0].dtype)
     (x0, y0), (x1, y1), (x2, y2) = ((x[k] - X * w[k], y[k] - Y * w[k]) for k in range(3))
     areas = x1 * y2 - x2 * y1, x2 * y0 - x0 * y2, x0 * y1 - x1 * y0
     # A face seen exactly edge-on has no area; its middle then stands for it.

@@ -1,5 +1,7 @@
 """The surface that a camera sees."""
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -14,8 +16,9 @@ from ..settings import maps
 from ..settings.maps import Cull
 from ._fixed import at_steps
 from ._interpolate import (
+    Points,
     Rows,
-    barycentrics_in_rows,
+    barycentrics_at,
     by_bands,
     corner_values,
     interpolate_corners,
@@ -99,16 +102,29 @@ def draw_surface(
             raise ValueError(f"subpixels is {subpixels!r}; expected a whole number of steps to a pixel, such as 16")
         clip = at_steps(clip, camera.resolution, subpixels)
     face = rasterize(clip, mesh.faces, camera.resolution, cull=cull, buffer=buffer).face
-    return _surface(mesh, camera.eye, view, face, clip)
+    return surface_at_centres(mesh, camera.eye, view, face, clip)
 
 
 @eqx.filter_jit
-def _surface(mesh: Mesh, eye: Vec3, view: View, face: FaceMap, clip: ClipVertices) -> Surface:
-    normals = face_normals(mesh)
-    clip_values, positions = (corner_values(values, mesh.faces, face.size) for values in (clip, mesh.vertices))
+def surface_at_centres(mesh: Mesh, eye: Vec3, view: View, face: FaceMap, clip: ClipVertices) -> Surface:
+    """The surface that pixel centres see, given the face that each sees."""
+    return by_bands(_surface_of(mesh, eye, view, face.size, clip), face)
 
-    def band(face: FaceMap, rows: Rows) -> Surface:
-        at = barycentrics_in_rows(face, clip_values, rows)
+
+def surface_at_points(mesh: Mesh, eye: Vec3, view: View, face: FaceMap, clip: ClipVertices, points: Points) -> Surface:
+    """The surface of given faces at given points of the window, both (h, w)."""
+    return _surface_of(mesh, eye, view, face.size, clip)(face, points)
+
+
+def _surface_of(
+    mesh: Mesh, eye: Vec3, view: View, pixels: int, clip: ClipVertices
+) -> Callable[[FaceMap, Rows | Points], Surface]:
+    """The surface as a function of faces and of where they are seen, for so many `pixels` in all."""
+    normals = face_normals(mesh)
+    clip_values, positions = (corner_values(values, mesh.faces, pixels) for values in (clip, mesh.vertices))
+
+    def surface(face: FaceMap, places: Rows | Points) -> Surface:
+        at = barycentrics_at(face, clip_values, places)
         position = interpolate_values(at, positions)
         normal = of_face(at, normals)
         # The direction to the camera: to its eye, or against its axis.
@@ -125,4 +141,4 @@ def _surface(mesh: Mesh, eye: Vec3, view: View, face: FaceMap, clip: ClipVertice
             from_behind=from_behind,
         )
 
-    return by_bands(band, face)
+    return surface

@@ -14,16 +14,12 @@ from .._checks import as_tuple, check_settings
 from .._padding import round_up_to_power_of_two
 from .._types import Faces, Resolution
 from ..geometry import AbstractLight, Edges, Mesh, MeshLike, View, as_mesh
-from ..raster import (
-    DepthTest,
-    Fragments,
-    rasterize,
-)
+from ..raster import DepthTest, Fragments, rasterize, rasterize_with_corners
 from ..settings.maps import Cull, DepthFormat, DepthLayer
 from ..settings.maps import ShadowMap as Settings
 from ..settings.quantities import MAX_TEXELS
 from ._map import ShadowMap
-from ._map_depths import depth_at_centres, midpoint, unwarped_depth, with_corners
+from ._map_depths import depth_at_centres, midpoint, unwarped_depth
 from .silhouettes import Outline, SilhouetteMap, find_silhouettes
 
 
@@ -152,9 +148,11 @@ def _outlined(
 ) -> tuple[Float[Array, "*l h w"], SilhouetteMap, Int[Array, ""]]:
     """The depths and silhouettes of a map, and how many sides of texels the silhouettes cross."""
     clip, test = view.clip_vertices(mesh.vertices), DepthTest(settings.depth_format)
-    seen, corners = with_corners(clip, mesh.faces, settings.resolution, test, settings.polygon_offset)
+    seen, corners = rasterize_with_corners(
+        clip, mesh.faces, settings.resolution, depth_test=test, polygon_offset=settings.polygon_offset
+    )
     depth = _stored(seen, clip, mesh.faces, view, settings)
-    return depth, *_silhouettes(depth, corners, clip, mesh, light, edges, crossings)
+    return depth, *_silhouettes(depth, corners.depth, clip, mesh, light, edges, crossings)
 
 
 def _stored(

@@ -1,75 +1,21 @@
 """Depths at the centres and corners of a shadow map's texels."""
 
-from typing import Any
-
 import equinox as eqx
-import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from .._arithmetic import as_array, with_gradient_of
+from .._arithmetic import with_gradient_of
 from .._device import chunk_size
-from .._types import Faces, Resolution
+from .._types import Faces
 from ..geometry import Tile
 from ..raster import (
     DepthTest,
-    Fragments,
     barycentrics,
     by_bands,
     interpolate_depth,
-    rasterize,
     visible_depth,
 )
-
-
-def with_corners(
-    clip: Float[Array, "*l v 4"],
-    faces: Faces,
-    resolution: Resolution,
-    test: DepthTest,
-    polygon_offset: Any,
-) -> tuple[Fragments, Float[Array, "*l H W"]]:
-    """What the texels of a map see at their centres, and the window depth at their corners.
-
-    Both are views of one drawing, so that the rasterizer is compiled once.
-    """
-    height, width = resolution
-    views = _centres_and_corners(clip, resolution)
-    sides = np.repeat(np.array([[height, width], [height + 1, width + 1]], np.int32), len(views) // 2, axis=0)
-    seen = rasterize(
-        views,
-        faces,
-        (height + 1, width + 1),
-        depth_test=test,
-        polygon_offset=polygon_offset,
-        viewports=as_array(sides),
-    )
-    return _parted(seen, clip.shape[:-2], resolution)
-
-
-@eqx.filter_jit
-def _centres_and_corners(clip: Float[Array, "*l v 4"], resolution: Resolution) -> Float[Array, "m v 4"]:
-    """Clip coordinates of all layers of a map, and then of all layers of an image of its texels' corners."""
-    layers = clip.reshape(-1, *clip.shape[-2:])
-    return jnp.concatenate([layers, _about_corners(layers, resolution)])
-
-
-@eqx.filter_jit
-def _parted(
-    seen: Fragments, layers: tuple[int, ...], resolution: Resolution
-) -> tuple[Fragments, Float[Array, "*l H W"]]:
-    """A map, and the depth at its texels' corners, of the views of `_centres_and_corners`."""
-    height, width = resolution
-    parts = jax.tree.map(lambda image: image.reshape(2, *layers, *image.shape[-2:]), seen)
-    return jax.tree.map(lambda image: image[0, ..., :height, :width], parts), parts.depth[1]
-
-
-def _about_corners(clip: Float[Array, "*l v 4"], resolution: Resolution) -> Float[Array, "*l v 4"]:
-    """Clip coordinates of an image whose pixel centres are the corners of the map's texels."""
-    height, width = resolution
-    return clip * jnp.array([width / (width + 1), height / (height + 1), 1, 1], clip.dtype)
 
 
 @eqx.filter_jit

@@ -48,7 +48,7 @@ WITH: dict[str, dict[str, Any]] = {
 }
 # Keys that place or choose things, and numbers that several fields follow from; other tests are about these.
 OF_SEVERAL = {
-    *("orbit", "azimuth", "elevation", "direction", "frame", "shadow_camera", "target", "position"),
+    *("antialias", "orbit", "azimuth", "elevation", "direction", "frame", "shadow_camera", "target", "position"),
     *("pattern", "samples", "pattern_size", "rotated", "search_samples"),
     *(
         "path",

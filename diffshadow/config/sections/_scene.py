@@ -79,6 +79,9 @@ class _CameraConfig(Section):
     orbit: Annotated[CameraOrbit | None, "placement by angles about the first mesh, instead of eye"] = None
     eye: Annotated[Position | None, "position, in world units"] = None
     target: Annotated[Position | None, "point in the middle of the image, in world units"] = None
+    antialias: Annotated[
+        bool, "whether shaded pictures show the mean over each pixel along outlines and creases; errors ignore it"
+    ] = False
     ascending = (("near", "far"),)
 
     @classmethod
@@ -128,6 +131,12 @@ class SceneConfig(Section):
         Annotated[tuple[LightConfig, ...], Form("a list of lights")] | None, "several lights instead of one"
     ] = None
     ground: Annotated[Literal["auto"] | None, "auto: adds a plane under meshes that stand on nothing"] = None
+
+    @property
+    def antialiases(self) -> bool:
+        """Whether pictures are antialiased."""
+        assert isinstance(self.camera, _CameraConfig)
+        return self.camera.antialias
 
     @property
     def each_light(self) -> dict[KeyPath, LightConfig]:

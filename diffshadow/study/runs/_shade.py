@@ -1,6 +1,7 @@
 """Shaded pictures of a run, and their perceptual error."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -37,7 +38,12 @@ def shade_lit(
     """As `shade`, of a `surface` in scenes that have one of the lights each."""
     lights, seen = [scene.light for scene in lit], [as_float(image) for image in visibility]
     shading = Phong(intensity=INTENSITY / len(lights)) if config is None else build_shading(config)
-    linear = _shaded(shading, surface, seen, lights, lit[0].camera)
+    scene = lit[0]
+    if config is not None and config.scene.antialiases:
+        antialiased = raster.draw_antialiased(scene.mesh, scene.camera)
+        linear = _shaded_antialiased(shading, antialiased, seen, lights, scene.camera)
+    else:
+        linear = _shaded(shading, surface, seen, lights, scene.camera)
     return _to_srgb(np.clip(np.asarray(linear, dtype=np.float64), 0, 1))
 
 
@@ -55,6 +61,11 @@ def perceptual_error(
 
 
 _shaded = eqx.filter_jit(lambda shading, *args: shading(*args))
+
+
+@eqx.filter_jit
+def _shaded_antialiased(shading: Any, seen: raster.AntialiasedSurface, visibility: Any, *rest: Any) -> Any:
+    return seen.resolve(shading(seen.surface, [seen.extend(image) for image in visibility], *rest))
 
 
 def _to_srgb(linear: Float[HostArray, "h w 3"]) -> Float[HostArray, "h w 3"]:

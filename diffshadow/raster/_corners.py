@@ -1,0 +1,62 @@
+"""What the pixels of an image see at their centres, and at their corners."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._arithmetic import as_array
+from .._types import Faces, Resolution
+from ..settings import maps
+from ..settings.maps import Cull
+from ._depth_test import DepthTest
+from ._rasterize import Fragments, rasterize
+
+
+def rasterize_with_corners(
+    clip: Float[Array, "*l v 4"],
+    faces: Faces,
+    resolution: Resolution,
+    *,
+    cull: Cull = maps.ShadowMap.cull,
+    depth_test: DepthTest | None = None,
+    polygon_offset: Any = None,
+) -> tuple[Fragments, Fragments]:
+    """What pixels see at their centres, (h, w), and at their corners, (h + 1, w + 1), of each layer.
+
+    Both are views of one drawing, so that the rasterizer is compiled once. Arguments as for `rasterize`.
+    """
+    height, width = resolution
+    views = _centres_and_corners(clip, resolution)
+    sides = np.repeat(np.array([[height, width], [height + 1, width + 1]], np.int32), len(views) // 2, axis=0)
+    seen = rasterize(
+        views,
+        faces,
+        (height + 1, width + 1),
+        cull=cull,
+        depth_test=depth_test,
+        polygon_offset=polygon_offset,
+        viewports=as_array(sides),
+    )
+    return _parted(seen, clip.shape[:-2], resolution)
+
+
+@eqx.filter_jit
+def _centres_and_corners(clip: Float[Array, "*l v 4"], resolution: Resolution) -> Float[Array, "m v 4"]:
+    """Clip coordinates of all layers of an image, and then of all layers of an image of its pixels' corners."""
+    height, width = resolution
+    layers = clip.reshape(-1, *clip.shape[-2:])
+    corners = layers * jnp.array([width / (width + 1), height / (height + 1), 1, 1], clip.dtype)
+    return jnp.concatenate([layers, corners])
+
+
+@eqx.filter_jit
+def _parted(seen: Fragments, layers: tuple[int, ...], resolution: Resolution) -> tuple[Fragments, Fragments]:
+    """The images at centres and at corners, of the views of `_centres_and_corners`."""
+    height, width = resolution
+    parts = jax.tree.map(lambda image: image.reshape(2, *layers, *image.shape[-2:]), seen)
+    centres = jax.tree.map(lambda image: image[0, ..., :height, :width], parts)
+    return centres, jax.tree.map(lambda image: image[1], parts)

@@ -1,0 +1,137 @@
+"""What lies on both sides of pieces of outlines and creases, from what the pixels around them see."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from .._arithmetic import safe_divide, take
+from .._types import ClipVertices, FaceMap, Faces, Resolution
+from ..geometry import NO_NEIGHBOUR, Edges, View
+from ._boundaries import Boundaries, Pieces
+from ._rasterize import NO_FACE
+
+# Samples closer to a line than this, in pixels, may lie on its other side by the rasterizer's rounding.
+_CLEAR = 1 / 64
+# Depths in the window that differ by less are equal.
+_ROUNDING = 1e-6
+# Parts of a mesh whose depths differ by no more than the width of this many pixels adjoin each other.
+_ADJOINING = 4.0
+
+
+class Sides(NamedTuple):
+    """The faces to the `left` and `right` of pieces (n,), whether these are `in_sight`, a `correction` of the area for
+    those that pass a pixel's centre on the other side than the rasterizer found, and whether a pixel's centre lies
+    `within` a silhouette, on the surface to its left."""
+
+    left: Int[Array, " n"]
+    right: Int[Array, " n"]
+    correction: Float[Array, " n"]
+    in_sight: Bool[Array, " n"]
+    within: Bool[Array, " n"]
+
+    @classmethod
+    def of(
+        cls,
+        pieces: Pieces,
+        found: Boundaries,
+        view: View,
+        clip: ClipVertices,
+        faces: Faces,
+        edges: Edges,
+        centres: FaceMap,
+        corners: Int[Array, "H W"],
+    ) -> "Sides":
+        """From what pixel centres and the corners of pixels see."""
+        height, width = centres.shape
+        pixel = jnp.minimum(pieces.pixel, height * width - 1)
+        row, column = pixel // width, pixel % width
+        offset = np.array([[0, 0], [-1, -1], [1, -1], [-1, 1], [1, 1]]) / 2
+        own = [centres[row, column]] + [corners[row + j, column + i] for j in (0, 1) for i in (0, 1)]
+        sample = jnp.stack(own)
+        place = jnp.stack([column, row], axis=1) + 0.5 + offset[:, None]
+        from_middle = place - pieces.middle
+        aside = jnp.sum(from_middle * pieces.right, axis=-1)
+
+        depth_of = lambda face, at: _window_depth(face, clip, faces, at, (height, width))
+        middle, across = pieces.middle, pieces.right * _CLEAR
+        # The nearer of two faces to the left.
+        candidates = take(found.left, pieces.segment)
+        depths = jnp.stack([depth_of(face, middle - across) for face in candidates.T])
+        nearer = jnp.argmin(depths, axis=0)
+        left = jnp.take_along_axis(candidates, nearer[:, None], axis=1)[:, 0]
+        depth = depth_of(left, middle)
+
+        there = jnp.broadcast_to(middle, from_middle.shape)
+        behind = depth_of(sample, there)
+        steep = jnp.where(sample >= 0, jnp.abs(depth_of(sample, there + across) - behind), 0)
+        slack = steep + jnp.abs(jnp.min(depths, axis=0) - depth) + _ROUNDING
+        # A part of the same mesh at about the depth of the line lies beside it, and not behind it.
+        component = lambda face: take(edges.component, jnp.maximum(face, 0))
+        near = jnp.abs(behind - depth) <= slack + adjoining(view, depth, (height, width))
+        beside = (sample >= 0) & (component(sample) == component(left)) & near
+        distance = jnp.sum(from_middle**2, axis=-1)
+
+        def nearest(cost: Float[Array, "5 n"]) -> _Sample:
+            chosen = jnp.argmin(cost, axis=0)[None]
+            pick = lambda values: jnp.take_along_axis(values, chosen, axis=0)[0]
+            return _Sample(pick(sample), pick(beside), pick(behind) >= depth - pick(slack))
+
+        # Rather a sample that is farther away than one of the same part of the mesh, or one beyond another piece.
+        across_wall = lambda at: jnp.sum(pieces.wall[:, :2] * at, axis=-1) + pieces.wall[:, 2]
+        is_beyond = across_wall(place) * across_wall(middle) < 0
+        behind_first = distance + jnp.where(beside, 4, 0) + jnp.where(is_beyond, 16, 0)
+        to_right, to_left = (nearest(jnp.where(turn * aside > _CLEAR, behind_first, jnp.inf)) for turn in (1, -1))
+        crease_to = take(found.right, pieces.segment)
+        is_crease = crease_to != NO_NEIGHBOUR
+        # A mesh's outline may run back for a short way, within the outline of its nearer faces.
+        is_back = ~is_crease & to_right.is_beside & ~to_left.is_beside
+        right = jnp.where(is_crease, crease_to, jnp.where(is_back, to_left.face, to_right.face))
+        in_sight = jnp.where(is_back, to_left.is_behind, to_right.is_behind & (is_crease | ~to_right.is_beside))
+        # Within the rasterizer's rounding, what the centre sees decides on which side of the line it lies.
+        centre = sample[0]
+        is_left = jnp.where(is_crease, centre == left, beside[0] ^ is_back)
+        is_close = (jnp.abs(pieces.height) < _CLEAR) & (jnp.abs(pieces.beyond) > 0.25)
+        is_wrong = is_close & (is_left != (pieces.height > 0)) & (~is_crease | (centre == left) | (centre == right))
+        exists = pieces.pixel < height * width
+        return cls(
+            left=jnp.where(exists, jnp.where(is_back, to_right.face, left), NO_FACE),
+            right=jnp.where(exists, right, NO_FACE),
+            correction=jnp.where(is_wrong, -jnp.sign(pieces.beyond), 0),
+            within=~is_crease & ~is_back & beside[0],
+            in_sight=in_sight & ~pieces.hidden & (~is_crease | nearest(distance).is_behind),
+        )
+
+
+class _Sample(NamedTuple):
+    """For each piece, the nearest place on one side where the face that is seen is known.
+
+    - `is_beside`: whether that face belongs to the same part of the mesh and adjoins the piece.
+    - `is_behind`: whether it does not hide the piece.
+    """
+
+    face: Int[Array, " n"]
+    is_beside: Bool[Array, " n"]
+    is_behind: Bool[Array, " n"]
+
+
+def adjoining(view: View, depth: Float[Array, " n"], resolution: Resolution) -> Float[Array, " n"]:
+    """By how much window depths differ, at most, of surfaces that adjoin each other."""
+    away = view.eye_depth(depth)
+    return _ADJOINING * view.depth_slope(away) * view.texel_size(away, resolution)
+
+
+def _window_depth(
+    face: Int[Array, "*n"], clip: ClipVertices, faces: Faces, at: Float[Array, "*n 2"], resolution: Resolution
+) -> Float[Array, "*n"]:
+    """Window depth of the planes of faces at places in pixels; infinite where there is no face."""
+    height, width = resolution
+    corners = take(faces, jnp.maximum(face, 0))
+    x, y, z, w = ([take(clip[:, c], corners[..., k]) for k in range(3)] for c in range(4))
+    X, Y = at[..., 0] * (2 / width) - 1, at[..., 1] * (2 / height) - 1
+    x, y = [x[k] - X * w[k] for k in range(3)], [y[k] - Y * w[k] for k in range(3)]
+    areas = [x[i] * y[j] - x[j] * y[i] for i, j in ((1, 2), (2, 0), (0, 1))]
+    mean = lambda values: sum(area * value for area, value in zip(areas, values, strict=True))
+    depth = safe_divide(jnp.asarray(mean(z)), jnp.asarray(mean(w)), 1.0) * 0.5 + 0.5
+    return jnp.where(face >= 0, depth, jnp.inf)
