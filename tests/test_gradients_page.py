@@ -39,7 +39,7 @@ def central(function: Any, places: tuple[Any, ...], number: int, steps: Any) -> 
 
 def test_blocks_are_short():
     scene, *others = [block for block in BLOCKS if "torch" not in block]
-    assert len(others) == 5
+    assert len(others) == 6
     assert len(scene.splitlines()) <= MAX_LINES[0]
     assert max(sum(bool(line) for line in block.splitlines()) for block in others) <= MAX_LINES[1]
 
@@ -105,3 +105,14 @@ def test_gradients_in_pytorch_are_those_of_differences_and_of_jax():
     names["to_torch"](names["light_on_floor"])(*given).backward()
     for tensor, of_jax in zip(given, (names["by_vertices"][0], names["by_suns"][0]), strict=True):
         np.testing.assert_allclose(tensor.grad.numpy(), of_jax, rtol=1e-3, atol=1e-5)
+
+
+@pytest.mark.exhaustive
+def test_gradients_of_the_picture_are_near_differences():
+    names = names_after(8)
+    # Of a picture that is darker to the left, so that it matters where the knot is.
+    weights = np.linspace(0, 1, 64, dtype=np.float32)[:, None] / 64**2
+    mean = jax.jit(lambda offset: jnp.sum(weights * names["picture"](offset)))
+    found = np.einsum("yxcp,x->p", np.asarray(names["by_offset"]), weights[:, 0])
+    expected = central(mean, (jnp.zeros(3),), 0, (0.01, 0.01, 0.01))
+    assert np.linalg.norm(found - expected) < 0.1 * np.linalg.norm(expected)
