@@ -115,6 +115,7 @@ def test_the_hard_compare_judges_by_the_users_loss(least_absolute, known):
     assert end == pytest.approx(min(phase.hard_loss for phase in result.phases), rel=1e-4)
 
 
+@pytest.mark.exhaustive
 def test_the_history_of_a_users_solver_is_in_order_and_true(least_absolute, known):
     result, told = least_absolute
     assert told == result.history

@@ -217,6 +217,7 @@ def test_triangles_across_the_lights_plane_hide_what_they_hide(light):
     assert_right(scene, trace_visibility_exact(scene, 1), least=0.1)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("light", EACH_LIGHT)
 def test_points_on_edges_of_a_convex_mesh_are_not_hidden_where_it_faces_the_light(light):
     """Rounded, they lie on either side of both faces of their edge."""

@@ -153,7 +153,7 @@ ROWS = {
 """Each technique, and what must leave its picture as it is."""
 RARE = (
     *("three.js, basic", "three.js, variance", "Babylon.js, cube"),
-    *("pages", "warp", "soft shadows", "cascades", "cube", "three.js", "three.js, cube", "cascades by interval"),
+    *("pages", "warp", "soft shadows", "cascades", "cube", "three.js, spot", "three.js, cube", "cascades by interval"),
 )
 TABLE = [
     pytest.param(name, change, id=f"{name}-{change}", marks=pytest.mark.exhaustive if name in RARE else ())

@@ -400,6 +400,7 @@ def test_counts_equal_opengls_stencil_on_999_of_1000_pixels_and_the_rest_is_expl
     assert not unexplained, message
 
 
+@pytest.mark.exhaustive
 def test_few_pixels_of_the_stencil_goldens_could_be_explained_away():
     rng = np.random.default_rng(0)
     near = [

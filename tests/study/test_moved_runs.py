@@ -171,6 +171,7 @@ def random_config(rng: np.random.Generator) -> Config | None:
     return config
 
 
+@pytest.mark.exhaustive
 def test_random_configurations_are_read_from_the_run_as_they_were(tmp_path):
     rng, checked, kinds = np.random.default_rng(17), 0, set()
     for turn in range(1000):
