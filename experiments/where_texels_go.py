@@ -12,9 +12,9 @@ far. Every technique has its best settings: the spacing of its cascades and thei
 since the error has no derivative with respect to them, and the bias is fitted by gradient.
 
 The figure has texels along x and the root mean square error of visibility along y, both logarithmic. The grey area is
-below the reference's own noise. The table also has the extent in pixels that 1 % of the texels exceed on the screen. With
-`--frames`, it has the flicker too: the root mean square change of the error from frame to frame (`metrics.flicker`), as
-the camera moves sideways.
+below the reference's own noise. The table also has the extent in pixels that 1 % of the texels exceed on the screen.
+With `--frames`, it has the flicker too: the root mean square change of the error from frame to frame
+(`metrics.flicker`), as the camera moves sideways.
 """
 
 import math
@@ -29,8 +29,8 @@ from rich.table import Table
 
 from diffshadow import metrics
 from diffshadow.config import load_config
-from diffshadow.fit import TechniqueProblem
 from diffshadow.console import Console
+from diffshadow.fit import TechniqueProblem
 
 NAME = "where_texels_go"
 SPACING, SHARES = "technique.logarithmic", "technique.shares."

@@ -69,14 +69,6 @@ def test_shipped_configs_load_and_explain_themselves(path):
     assert rows["scene.meshes.0.path"].value.startswith("builtin:")
 
 
-@pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
-def test_resolved_config_loads_again_to_an_equal_one(path, tmp_path):
-    config = load_config(path, ["sweep=null"])
-    copy = tmp_path / "another_name.yaml"
-    copy.write_text(dump_resolved(config))
-    assert load_config(copy) == config
-
-
 def test_resolved_config_keeps_what_its_paths_mean(tmp_path, monkeypatch):
     (tmp_path / "here").mkdir()
     for name in ("here/a.obj", "b.obj", "here/truth.npy"):

@@ -267,6 +267,7 @@ def test_views_are_those_that_the_technique_has(viewer):
     assert biased.from_light().mean() > frame.from_light().mean()
 
 
+@pytest.mark.exhaustive
 def test_before_is_the_configurations_own_technique(viewer):
     from PIL import Image
 
