@@ -1,8 +1,11 @@
 """The server of pages: one acknowledged picture at a time, and nothing for strangers."""
 
 import asyncio
+import contextlib
 import json
 import struct
+import threading
+import time
 
 import pytest
 from tornado.httpclient import AsyncHTTPClient, HTTPRequest
@@ -12,6 +15,7 @@ from viewed import TINY
 import diffshadow
 from diffshadow.config import parse_config
 from diffshadow.viewer._server import Server
+from diffshadow.viewer._viewer import Viewer
 
 SECONDS = 60
 
@@ -109,6 +113,52 @@ def test_two_pages_have_settings_of_their_own_and_a_page_that_leaves_disturbs_no
         await other.hear("about")
         await asyncio.sleep(0.05)
         assert len(server.pages) == 1
+
+    talking(script)
+
+
+def test_no_page_waits_for_what_another_has_to_compile(monkeypatch):
+    compiled, draw = threading.Event(), Viewer.show
+
+    def show(viewer, look, **options):
+        assert not look.state.structure or compiled.wait(SECONDS)
+        return draw(viewer, look, **options)
+
+    monkeypatch.setattr(Viewer, "show", show)
+
+    async def script(server, opened):
+        one, other = await opened(), await opened()
+        await one.send(look=look())
+        full = await one.hear("about")
+        while not full["is_full"]:
+            await one.send(shown=full["number"])
+            full = await one.hear("about")
+        await other.send(look={"state": {"structure": {"filter": {"type": "bilinear"}}}})
+        await other.hear("controls")
+        await one.send(look=look(**{"bias.constant": 1.0}), shown=full["number"])
+        assert (await one.hear("about"))["number"] == full["number"] + 1
+        compiled.set()
+        await other.hear("about")
+
+    talking(script)
+
+
+def test_a_page_at_rest_gets_its_reference_while_another_is_dragged():
+    async def script(server, opened):
+        one, other = await opened(), await opened()
+        await one.send(look=look(**{"scene.light.azimuth": 20.0}))
+        shown = await one.hear("about")
+        until = time.monotonic() + SECONDS
+        azimuth = 21.0
+        while not shown["rays"] and time.monotonic() < until:
+            # The other page never rests.
+            azimuth += 0.5
+            await other.send(look=look(**{"scene.light.azimuth": azimuth}))
+            await other.send(shown=(await other.hear("about"))["number"])
+            await one.send(shown=shown["number"])
+            with contextlib.suppress(TimeoutError):
+                shown = await asyncio.wait_for(one.hear("about"), 0.1)
+        assert shown["rays"]
 
     talking(script)
 
