@@ -20,6 +20,8 @@ from typing import Any
 
 import jax
 from benchmark_raster import machine, positive
+from engines.engines import BROWSERS
+from engines.engines import HERE as ENGINES
 from rich.table import Table
 
 import diffshadow
@@ -29,8 +31,6 @@ from diffshadow.viewer import Look, State, Viewer
 
 SIZE = (384, 512)
 """Height and width of a full picture, in pixels."""
-ENGINES = Path(__file__).parent / "engines"
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 
 
 def look(**state: Any) -> Look:

@@ -257,6 +257,15 @@ def test_a_page_beside_python_has_the_values_that_it_was_left_with(tmp_path):
 def test_a_scene_of_python_is_shown_with_its_meshes_camera_and_lights():
     from diffshadow.config import build_scene
 
+    lamp = {"type": "spot", "position": [1, 3, 1], "radius": 0.1}
+    lit_by = f"scene.lights=[{{azimuth: -60, elevation: 50, angular_radius: 2}}, {json.dumps(lamp)}]"
+    several = build_scene(parse_config(TINY, ["scene.light=null", lit_by]))
+    page = diffshadow.view(several, "shadow_map.resolution=[64, 64]")
+    sun, spot = page.config.scene.lights
+    assert (sun.type, spot.type) == ("directional", "spot")
+    assert (sun.angular_radius, spot.radius) == pytest.approx((2, 0.1), abs=1e-4)
+    assert spot.position == pytest.approx((1, 3, 1), abs=1e-4)
+    page.close()
     scene = build_scene(parse_config(TINY))
     page = diffshadow.view(scene, "shadow_map.resolution=[64, 64]")
     shown = page.config.scene
