@@ -2,7 +2,7 @@
 
     python experiments/where_texels_go.py configs/corridor.yaml configs/terrain.yaml configs/street.yaml \
         configs/hills.yaml
-    python experiments/where_texels_go.py configs/corridor.yaml --sizes 256,1024 --only plain,cascades4
+    python experiments/where_texels_go.py configs/corridor.yaml --sizes 256,1024 --only plain,cascades4 --frames 8
 
 Draws each configuration's scene with one map, with 2, 3 and 4 cascades, with 4 cascades of several sizes, with maps
 that are warped towards the camera (light space perspective shadow maps and perspective shadow maps), and with pages of
@@ -13,6 +13,8 @@ since the error has no derivative with respect to them, and the bias is fitted b
 
 The figure has texels along x and the root mean square error of visibility along y, both logarithmic. The grey area is
 below the reference's own noise. The table also has the extent in pixels that 1 % of the texels exceed on the screen.
+With `--frames`, it has the flicker too: the root mean square change of the error from frame to frame
+(`metrics.flicker`), as the camera moves sideways.
 """
 
 import math
@@ -28,9 +30,12 @@ from rich.table import Table
 from diffshadow import metrics
 from diffshadow.config import load_config
 from diffshadow.console import Console
+from diffshadow.fit import TechniqueProblem
 
 NAME = "where_texels_go"
 SPACING, SHARES = "technique.logarithmic", "technique.shares."
+SIDEWAYS = 0.005
+"""How far the camera moves from frame to frame, in parts of the distance to its target."""
 CASCADES = "{type: cascades, depths: surface, stabilize: false"
 FITTED = "bias.constant: {lower: 0, upper: 8}, bias.slope: {lower: 0, upper: 8}"
 
@@ -72,6 +77,7 @@ def main(
     *configs: Path,
     sizes: str = "256,512,1024,2048",
     only: str = ",".join(TECHNIQUES),
+    frames: int = 0,
     output: Path | None = None,
 ) -> dict[str, Any]:
     """Compares the techniques on the scenes of CONFIGS.
@@ -84,6 +90,8 @@ def main(
         Widths of a single square map, in texels, separated by commas. Several maps share its number of texels.
     only
         Which techniques, separated by commas.
+    frames
+        Number of frames of a moving camera over which flicker is measured; 0 for none.
     output
         Folder of the results' folder, instead of that of the first configuration.
     """
@@ -92,14 +100,17 @@ def main(
     widths = sorted(set(common.listed("sizes", sizes, int)))
     common.expect("sizes", sizes, widths[0] >= 64, "64 texels or more")
     names = common.chosen("only", only, TECHNIQUES)
+    common.expect("frames", frames, frames == 0 or 2 <= frames <= 256, "0, or 2 to 256 frames")
     to = () if output is None else (f"output={output}",)
     cases = {path: common.draw(common.load(path, to)) for path in configs}
     floors = {path.stem: case.floor for path, case in cases.items()}
     summary = {"configs": [str(path) for path in configs], "reference_noise": floors}
+    moved = {path: moves(path, case, frames) for path, case in cases.items()}
     rows, folder = [], None
     todo = [(path, size, name) for path in configs for size in widths for name in names]
     for path, size, name in common.progress(todo, "fitting", console):
-        row = {"scene": path.stem, "technique": name, "texels": size**2, **best(cases[path], path, name, size)}
+        found = best(cases[path], moved[path], path, name, size)
+        row = {"scene": path.stem, "technique": name, "texels": size**2, **found}
         rows.append(row)
         if name == names[-1]:
             # Results are written after each size. An interrupted run keeps all sizes that are done.
@@ -109,7 +120,28 @@ def main(
     return {**summary, "rows": rows, "folder": str(folder)}
 
 
-def best(case: common.Case, path: Path, name: str, size: int) -> dict[str, Any]:
+def moves(path: Path, case: common.Case, frames: int) -> list[common.Case]:
+    """The scene of a configuration, seen by a camera that moves sideways."""
+    camera, origin = case.scene.camera, np.asarray(case.scene.origin)
+    eye, target = (np.asarray(point, float) + origin for point in (camera.eye, camera.target))
+    right = np.cross(target - eye, case.settings.scene.camera.up)
+    step = SIDEWAYS * np.linalg.norm(target - eye) * right / np.linalg.norm(right)
+    at = lambda point, i: [round(float(each), 6) for each in point + i * step]
+    places = [[f"scene.camera.{k}={at(p, i)}" for k, p in (("eye", eye), ("target", target))] for i in range(frames)]
+    return [common.draw(load_config(path, ["scene.camera.orbit=null", *place])) for place in places]
+
+
+def flicker(frames: list[common.Case], technique: Any) -> float | None:
+    """The change of a technique's error from frame to frame; none without frames."""
+    if not frames:
+        return None
+    drawn = [TechniqueProblem.of(each.scene, technique, each.truth, surface=each.surface) for each in frames]
+    images = np.stack([common.visibility(each) for each in drawn])
+    truths = np.stack([each.truth.visibility for each in frames])
+    return metrics.flicker(images, truths, np.stack([np.asarray(each.mask) for each in drawn]))
+
+
+def best(case: common.Case, frames: list[common.Case], path: Path, name: str, size: int) -> dict[str, Any]:
     """The error of a technique with its best settings, those settings, and how large its texels are on the screen."""
     technique = TECHNIQUES[name]
     side = int(size / math.sqrt(technique.maps))
@@ -124,6 +156,7 @@ def best(case: common.Case, path: Path, name: str, size: int) -> dict[str, Any]:
         "shares": parts(getattr(made.technique.layout, "shares", None)),
         **{key.replace(".", "_"): value for key, value in found.fitted.items() if key.startswith("bias.")},
         "percentile_99": metrics.measure_aliasing(extents.extent, extents.mask).percentile_99,
+        "flicker": flicker(frames, found.technique),
     }
 
 
@@ -140,10 +173,10 @@ def show(console: Console, rows: list[dict[str, Any]]) -> None:
     table = Table()
     for title in ("scene", "texels", "technique"):
         table.add_column(title, no_wrap=True)
-    for title in ("RMSE", "spacing", "bias", "slope", "99 %", "shares"):
+    for title in ("RMSE", "spacing", "bias", "slope", "99 %", "flicker", "shares"):
         table.add_column(title, justify="right", no_wrap=True)
     for row in rows:
-        digits = {"rmse": 4, "spacing": 2, "bias_constant": 2, "bias_slope": 2, "percentile_99": 1}
+        digits = {"rmse": 4, "spacing": 2, "bias_constant": 2, "bias_slope": 2, "percentile_99": 1, "flicker": 4}
         cells = ("" if row[key] is None else f"{row[key]:.{n}f}" for key, n in digits.items())
         title = TECHNIQUES[row["technique"]].title
         table.add_row(row["scene"], f"{math.isqrt(row['texels'])}²", title, *cells, row["shares"] or "")

@@ -39,6 +39,11 @@ def pytest_configure(config):
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 
+def pytest_collection_modifyitems(items):
+    """Optimized tests come first: other tests can reuse their programs, but not the other way round."""
+    items.sort(key=lambda item: item.get_closest_marker("optimized") is None)
+
+
 def pytest_collection_finish():
     """Modules and tests live to the end: the garbage collector need not look through them again."""
     gc.freeze()
@@ -48,10 +53,11 @@ def pytest_collection_finish():
 def _optimize(request):
     """Has programs optimized where tests are marked `optimized`, and elsewhere not: they compile in two thirds of the
     time. So do processes that tests start."""
+    was_plain = os.environ.get("JAX_DISABLE_MOST_OPTIMIZATIONS") == "True"
     is_plain = request.node.get_closest_marker("optimized") is None
     jax.config.update("jax_disable_most_optimizations", is_plain)
     os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = str(is_plain)
-    if not is_plain:
+    if was_plain and not is_plain:
         # JAX would otherwise reuse programs that were compiled without optimizations.
         jax.clear_caches()
 

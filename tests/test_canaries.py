@@ -4,6 +4,8 @@ import os
 import subprocess
 import sys
 
+import pytest
+
 # A healthy jax needs a few seconds, most of them to start.
 TIME_LIMIT_S = 120
 
@@ -60,9 +62,11 @@ def test_many_rows_of_small_matrix_products_are_right_under_jit():
     run_on_cpu(ROWS_OF_SQUARES)
 
 
+@pytest.mark.exhaustive
 def test_wide_broadcast_and_reduction_neither_crashes_nor_hangs():
     run_on_cpu(WIDE_BROADCAST)
 
 
+@pytest.mark.exhaustive
 def test_loop_of_small_writes_takes_time_linear_in_its_length():
     run_on_cpu(LOOP_OF_SMALL_WRITES)

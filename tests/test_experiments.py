@@ -83,7 +83,7 @@ def test_error_falls_with_resolution_as_a_seam_does():
 def test_cascades_warps_and_pages_put_texels_where_they_are_seen():
     script, corridor = importlib.import_module("where_texels_go"), (ROOT / "configs" / "corridor.yaml").read_text()
     Path("corridor.yaml").write_text(corridor.replace("resolution: [256, 256]", "resolution: [64, 64]"))
-    found = script.main(Path("corridor.yaml"), sizes="512", only="plain,lispsm,perspective,pages,cascades4")
+    found = script.main(Path("corridor.yaml"), sizes="512", only="plain,lispsm,perspective,pages,cascades4", frames=2)
     folder = Path("runs") / "corridor-where_texels_go"
     assert {file.suffix for file in folder.iterdir()} == {".png", ".csv", ".json"}
     plain, lispsm, perspective, pages, cascades = (row["rmse"] for row in found["rows"])
@@ -93,6 +93,8 @@ def test_cascades_warps_and_pages_put_texels_where_they_are_seen():
     assert [row["spacing"] is None for row in found["rows"]] == [True, True, True, True, False]
     extents = [row["percentile_99"] for row in found["rows"]]
     assert max(extents[1:]) < 0.5 * extents[0]
+    flicker = [row["flicker"] for row in found["rows"]]
+    assert 0 < max(flicker[1:]) < 0.8 * flicker[0], "finer texels crawl less"
 
 
 @pytest.mark.exhaustive

@@ -36,6 +36,7 @@ from .sections._fitted import is_limit as is_limit
 from .sections._lights import DirectionalLightConfig as DirectionalLightConfig
 from .sections._reference import REFERENCES as REFERENCES
 from .sections._section import changed as changed
+from .sections._sweep import FLICKER as FLICKER
 from .sections._sweep import LIMIT_ERROR as LIMIT_ERROR
 from .sections._sweep import PlotConfig as PlotConfig
 from .sections._sweep import SweepConfig as SweepConfig

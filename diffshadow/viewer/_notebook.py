@@ -2,6 +2,7 @@
 
 import asyncio
 import html
+import json
 import os
 import tempfile
 import threading
@@ -68,8 +69,8 @@ def view(what: Any, *overrides: str, port: int = 0) -> OpenPage:
     **Arguments:**
 
     - `what`: a `Config`; the path of a configuration, a mesh or a run's folder; a `Scene`; or a problem that has one,
-        such as a `TechniqueProblem`. Of scenes and problems, the page shows meshes, camera and the first light, with
-        a configuration's default technique.
+        such as a `TechniqueProblem`. Of scenes and problems, the page shows meshes, camera and lights, with a
+        configuration's default technique.
     - `overrides`: strings such as `"filter.radius=3"` that replace values of the configuration.
     - `port`: to listen on, on this machine only; 0 is any free one.
 
@@ -98,13 +99,24 @@ def _config_of(scene: Scene, overrides: tuple[str, ...]) -> Config:
     _FOLDERS.append(tempfile.TemporaryDirectory(prefix="diffshadow-"))
     folder = Path(_FOLDERS[-1].name)
     io.write_gltf(folder / "scene.glb", scene)
-    pose, size = scene.lights[0].pose(), "angular_radius" if scene.lights[0].is_directional else "radius"
-    # An import leaves out the sizes of lights.
-    sized = [] if pose.radius is None else [f"scene.light.{size}={float(pose.radius)!r}"]
-    made = study.import_scene(
-        folder / "scene.glb", console=Console(quiet=True), technique="shadow_map", output=folder / "scene"
-    )
-    return load_config(made, [*sized, *overrides])
+    made, sections = [], []
+    for i, light in enumerate(scene.lights):
+        # An import has one light.
+        name, quiet = f"light {i}", Console(quiet=True)
+        made.append(
+            study.import_scene(
+                folder / "scene.glb", console=quiet, light=name, technique="shadow_map", output=folder / name
+            )
+        )
+        found: Any = load_config(made[-1]).scene.light
+        section = found.model_dump(mode="json", exclude_none=True)
+        radius = light.pose().radius
+        # An import leaves out the sizes of lights.
+        sized = {} if radius is None else {"angular_radius" if light.is_directional else "radius": float(radius)}
+        sections.append({**section, **sized})
+    several = ["scene.light=null", f"scene.lights={json.dumps(sections)}"]
+    lights = several if len(sections) > 1 else [f"scene.light={json.dumps(sections[0])}"]
+    return load_config(made[0], [*lights, *overrides])
 
 
 _FOLDERS: list[tempfile.TemporaryDirectory[str]] = []

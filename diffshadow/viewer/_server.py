@@ -40,14 +40,17 @@ class Server:
     """The server of one configuration. Its methods are called in the thread of the event loop that it was made in.
 
     - `last`: the settings that a page has shown last; none before.
+    - `drawn`: the structures that full pictures were drawn of, which compile nothing.
     """
 
     def __init__(self, config: Config, name: str):
         self.loop = asyncio.get_running_loop()
         self.pages: set[Page] = set()
-        # One thread draws for all pages.
+        # One thread draws for all pages, and one what has to be compiled first, so that no page waits for another's.
         self.drawing = ThreadPoolExecutor(1, thread_name_prefix="drawing")
+        self.compiling = ThreadPoolExecutor(1, thread_name_prefix="compiling")
         self.last: State | None = None
+        self.drawn: set[str] = set()
         self.viewer = Viewer(config, name, self._in_loop(self._traced), self._in_loop(self._fitted))
         self.address = ""
 
@@ -73,12 +76,8 @@ class Server:
         """Closes all pages, and stops listening. A fit goes on."""
         for page in [*self.pages]:
             page.close()
+            self.viewer.tracer.rest(page)
         self._http.stop()
-        self.viewer.tracer.rest()
-
-    async def draw(self, work: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
-        """Does `work` in the thread that draws."""
-        return await self.loop.run_in_executor(self.drawing, lambda: work(*arguments, **options))
 
     def _in_loop(self, call: Callable[[Any], None]) -> Callable[[Any], None]:
         """`call`, to be called from other threads."""
@@ -129,6 +128,7 @@ class Page(tornado.websocket.WebSocketHandler):
         self.in_flight: int | None = None
         self.number = 0
         self.key: Hashable = None
+        # The structure whose controls it has.
         self.built = ""
         self.tasks: set[asyncio.Future[None]] = set()
         self.woken = asyncio.Event()
@@ -136,6 +136,7 @@ class Page(tornado.websocket.WebSocketHandler):
 
     def on_close(self) -> None:
         self.server.pages.discard(self)
+        self.server.viewer.tracer.rest(self)
         self.pump.cancel()
 
     def tell(self, **parts: Any) -> None:
@@ -158,7 +159,7 @@ class Page(tornado.websocket.WebSocketHandler):
         if asked.look is not None:
             self.look, self.since, self.is_new = asked.look, time.monotonic(), True
             self.server.last = asked.look.state
-            self.server.viewer.tracer.rest()
+            self.server.viewer.tracer.rest(self)
         if asked.shown is not None and asked.shown == self.in_flight:
             self.in_flight = None
         if asked.stop:
@@ -181,7 +182,7 @@ class Page(tornado.websocket.WebSocketHandler):
     def _answer(self, part: str | None, work: Callable[[Any], Any], given: Any) -> None:
         async def answer() -> None:
             with self._errors():
-                found = await self.server.draw(work, given)
+                found = await self._do(self.server.drawing, work, given)
                 if part is not None:
                     self.tell(**{part: found})
 
@@ -189,6 +190,9 @@ class Page(tornado.websocket.WebSocketHandler):
         task = asyncio.ensure_future(answer())
         self.tasks.add(task)
         task.add_done_callback(self.tasks.discard)
+
+    async def _do(self, thread: ThreadPoolExecutor, work: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+        return await self.server.loop.run_in_executor(thread, lambda: work(*arguments, **options))
 
     @contextlib.contextmanager
     def _errors(self) -> Any:
@@ -219,14 +223,16 @@ class Page(tornado.websocket.WebSocketHandler):
         slow = self.server.loop.call_later(_LONG, self.tell_that_it_takes_long)
         try:
             built = look.state.model_copy(update={"numbers": {}, "camera": None, "fitted": None}).model_dump_json()
+            thread = self.server.drawing if built in self.server.drawn else self.server.compiling
             if built != self.built:
-                controls = await self.server.draw(viewer.controls, look.state)
+                controls = await self._do(thread, viewer.controls, look.state)
                 self.built = built
                 self.tell(controls=controls)
-            shown = await self.server.draw(viewer.show, look, at_rest=at_rest)
+            shown = await self._do(thread, viewer.show, look, at_rest=at_rest)
             self.is_rough = not shown.about["is_full"] or self.is_rough
             if shown.about["is_full"]:
-                self.key = await self.server.draw(viewer.trace, look)
+                self.server.drawn.add(built)
+                self.key = await self._do(thread, viewer.trace, look, self)
         finally:
             slow.cancel()
         self.number += 1

@@ -9,6 +9,7 @@
 | picture | visibility, shading, and the page's view |
 """
 
+import threading
 from collections.abc import Callable, Hashable
 from functools import cached_property
 from typing import Any
@@ -34,16 +35,22 @@ class Stage:
     def __init__(self, most: int = 4):
         self.most, self.calls = most, 0
         self._kept: dict[Hashable, Any] = {}
+        self._lock = threading.Lock()
 
     def __call__(self, key: Hashable, make: Callable[[], Any]) -> Any:
-        if key not in self._kept:
+        with self._lock:
+            if key in self._kept:
+                # The last used stays longest.
+                found = self._kept[key] = self._kept.pop(key)
+                return found
+        # Another thread may draw meanwhile.
+        made = make()
+        with self._lock:
             self.calls += 1
-            self._kept[key] = make()
+            self._kept[key] = made
             while len(self._kept) > self.most:
                 del self._kept[next(iter(self._kept))]
-        # The last used stays longest.
-        found = self._kept[key] = self._kept.pop(key)
-        return found
+        return made
 
     def __contains__(self, key: Hashable) -> bool:
         return key in self._kept

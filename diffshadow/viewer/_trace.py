@@ -1,11 +1,11 @@
-"""Traces references while nothing moves: with few rays at first, then with more."""
+"""Traces references of pages at rest: with few rays at first, then with more."""
 
 import contextlib
 import os
 import sys
 import threading
 from collections.abc import Callable, Hashable, Iterator, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 from .. import reference, study
 from ..geometry import Scene
@@ -17,8 +17,16 @@ _MOST_KEPT = 8
 _NICENESS = 10
 
 
+class Asked(NamedTuple):
+    """A reference: `key` is what it depends on, and `how` the arguments of `reference.trace_visibility`."""
+
+    key: Hashable
+    scene: Scene
+    how: Mapping[str, Any]
+
+
 class Tracer:
-    """A thread that traces the reference that was asked for last, in several steps, each better than the one before.
+    """A thread that traces the references that pages ask for, one after another. Each gets better in several steps.
 
     - `found`: called with the key of each new reference, in that thread.
     """
@@ -26,7 +34,8 @@ class Tracer:
     def __init__(self, found: Callable[[Hashable], None]):
         self.found = found
         self._references: dict[Hashable, tuple[Reference, bool]] = {}
-        self._wanted: tuple[Hashable, Scene, Mapping[str, Any]] | None = None
+        # What each page asks for.
+        self._asked: dict[Hashable, Asked] = {}
         self._changed = threading.Condition()
         threading.Thread(target=self._run, daemon=True, name="tracing").start()
 
@@ -34,16 +43,18 @@ class Tracer:
         """The best reference so far."""
         return self._references.get(key, (None, False))[0]
 
-    def want(self, key: Hashable, scene: Scene, how: Mapping[str, Any]) -> None:
-        """Traces what `reference.trace_visibility` finds with arguments `how`, unless that is done."""
+    def want(self, page: Hashable, key: Hashable, scene: Scene, how: Mapping[str, Any]) -> None:
+        """Traces what `page` shows, unless that is done, after what other pages asked for before."""
         with self._changed:
-            self._wanted = None if self._references.get(key, (None, False))[1] else (key, scene, how)
+            self._asked.pop(page, None)
+            if not self._references.get(key, (None, False))[1]:
+                self._asked[page] = Asked(key, scene, how)
             self._changed.notify()
 
-    def rest(self) -> None:
-        """Stops: what was asked for is no longer shown."""
+    def rest(self, page: Hashable) -> None:
+        """Stops: `page` no longer shows what it asked for."""
         with self._changed:
-            self._wanted = None
+            self._asked.pop(page, None)
 
     def _run(self) -> None:
         if sys.platform == "linux":
@@ -51,20 +62,23 @@ class Tracer:
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
         while True:
             with self._changed:
-                self._changed.wait_for(lambda: self._wanted is not None)
-                wanted = self._wanted
-            assert wanted is not None
+                self._changed.wait_for(lambda: self._asked)
+                asked = next(iter(self._asked.values()))
             with contextlib.suppress(_AbandonedError):
-                self._trace(*wanted)
+                self._trace(asked)
             with self._changed:
-                if self._wanted is wanted:
-                    self._wanted = None
+                self._asked = {page: each for page, each in self._asked.items() if each is not asked}
 
-    def _trace(self, key: Hashable, scene: Scene, how: Mapping[str, Any]) -> None:
+    def _trace(self, asked: Asked) -> None:
+        key, scene, how = asked
+
         def go_on(_: float) -> None:
-            if self._wanted is None or self._wanted[0] != key:
+            if not any(each is asked for each in self._asked.values()):
                 raise _AbandonedError
 
+        if self._references.get(key, (None, False))[1]:
+            # Another page has asked for the same.
+            return
         try:
             for samples in _steps(scene, **how):
                 few = reference.trace_visibility(scene, **{**how, "samples": samples}, progress=go_on)

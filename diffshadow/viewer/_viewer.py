@@ -37,7 +37,7 @@ class Viewer:
     - `name`: what the configuration was given as, for commands that can be pasted.
     - `traced`: called with the key of each new reference, in another thread; `fitted` with the news of a fit.
 
-    Its drawing methods are to be called from one thread.
+    Its methods may be called from several threads, which then share what is drawn.
     """
 
     def __init__(
@@ -107,10 +107,10 @@ class Viewer:
         }
         return Shown(_jpeg(picture), about)
 
-    def trace(self, look: Look) -> Hashable:
-        """Starts to trace the reference of `look` at rest. **Returns** its key."""
+    def trace(self, look: Look, page: Hashable = None) -> Hashable:
+        """Starts to trace the reference of `look`, which `page` shows at rest. **Returns** its key."""
         frame = self.frame(look, full=True)
-        self.tracer.want(frame.truth_key, frame.scene(frame.light), frame.subject.how)
+        self.tracer.want(page, frame.truth_key, frame.scene(frame.light), frame.subject.how)
         return frame.truth_key
 
     def controls(self, state: State) -> dict[str, Any]:

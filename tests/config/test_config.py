@@ -26,7 +26,7 @@ CONFIGS = sorted((Path(__file__).parents[2] / "configs").glob("*.yaml"))
 QUICKSTART = next(path for path in CONFIGS if path.stem == "quickstart")
 TINY = "scene: {meshes: [{path: 'builtin:torus_knot'}]}\n"
 # The machine may be busy, and each example is small.
-few = settings(max_examples=20, deadline=None)
+few = settings(max_examples=10, deadline=None)
 JARGON = ("type=", "Input should", "pydantic", "http", "union", "tuple", "dict", "NoneType", "<", "extra")
 
 
@@ -67,14 +67,6 @@ def test_shipped_configs_load_and_explain_themselves(path):
     assert all(row.unit for key, row in rows.items() if key.startswith("fit.parameters.") and key.endswith(".upper"))
     assert rows["scene.camera.resolution"].unit == "pixels"
     assert rows["scene.meshes.0.path"].value.startswith("builtin:")
-
-
-@pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
-def test_resolved_config_loads_again_to_an_equal_one(path, tmp_path):
-    config = load_config(path, ["sweep=null"])
-    copy = tmp_path / "another_name.yaml"
-    copy.write_text(dump_resolved(config))
-    assert load_config(copy) == config
 
 
 def test_resolved_config_keeps_what_its_paths_mean(tmp_path, monkeypatch):

@@ -17,7 +17,7 @@ from diffshadow.settings.scene import PIECES
 CONFIGS = sorted((Path(__file__).parents[2] / "configs").glob("*.yaml"))
 # Sections and keys that name files, or are made below by hand.
 BY_HAND = {"name", "output", "sweep", "fit", "meshes", "lights", "reference"}
-WANTED = 20
+WANTED = 10
 
 
 def suits_a_fit(text: str) -> bool:

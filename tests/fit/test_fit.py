@@ -108,6 +108,7 @@ def test_what_on_step_raises_ends_the_fit_and_the_next_one_is_the_same(known, re
     assert fit(known, [BIAS, RADIUS], **how).fitted == result.fitted
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("solver", EACH_SOLVER)
 def test_soft_reference_is_met_exactly(solver):
     compare = SoftCompare(0.5)

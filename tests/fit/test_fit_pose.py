@@ -294,6 +294,7 @@ def _gaussian(image, deviation):
     return gaussian_filter(image, deviation, mode="constant", truncate=4) if deviation else image
 
 
+@pytest.mark.exhaustive
 def test_precision_is_the_scatter_of_repeated_regressions():
     rng = np.random.default_rng(1)
     slopes = np.einsum("phw,pq->qhw", rng.normal(size=(3, 20, 20)), np.array([[1, 0.8, 0], [0, 1, 0], [0, 0, 1]]))
@@ -503,6 +504,7 @@ def test_adam_finds_the_bottom_of_a_valley():
     assert all(told == {"loss_this_step", "y"} for told in reports)
 
 
+@pytest.mark.exhaustive
 def test_levenberg_marquardt_follows_a_bent_valley_to_its_bottom():
     rosenbrock = lambda y, _: jnp.stack([10 * (y[1] - y[0] ** 2), 1 - y[0]])
     solver = LevenbergMarquardt(1e-6, 1e-6, lambda **_: None)

@@ -115,6 +115,7 @@ def test_the_hard_compare_judges_by_the_users_loss(least_absolute, known):
     assert end == pytest.approx(min(phase.hard_loss for phase in result.phases), rel=1e-4)
 
 
+@pytest.mark.exhaustive
 def test_the_history_of_a_users_solver_is_in_order_and_true(least_absolute, known):
     result, told = least_absolute
     assert told == result.history
@@ -129,6 +130,7 @@ def test_the_history_of_a_users_solver_is_in_order_and_true(least_absolute, know
     assert told[0].values == pytest.approx((1.6, 2.0), abs=1e-5)
 
 
+@pytest.mark.exhaustive
 def test_a_saved_fit_calls_a_users_loss_by_its_name(least_absolute, tmp_path):
     result, _ = least_absolute
     folder = study.save_fit(result, tmp_path / "mine")

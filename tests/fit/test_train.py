@@ -101,6 +101,7 @@ def losses(groups, technique, values):
     return *jax.value_and_grad(loss)(values), rows
 
 
+@pytest.mark.exhaustive
 def test_compressed_residuals_have_the_loss_and_its_gradient(views):
     """Against central differences, in double precision, and against each view on its own."""
     with jax.enable_x64(True):

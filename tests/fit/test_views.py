@@ -339,6 +339,7 @@ def test_a_sample_stands_for_the_whole(views):
     assert errors.mean() == pytest.approx(expected, abs=4 * errors.std() / len(errors) ** 0.5)
 
 
+@pytest.mark.exhaustive
 def test_pixels_of_a_sample_keep_their_taps(views):
     whole, mapping = views[1], disk(3.0, 0.8)
     sample, mask = whole.sampled(1024, 0), np.asarray(whole.mask)

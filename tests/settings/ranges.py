@@ -1,9 +1,12 @@
-"""Prints where modules take what their settings do not allow, or refuse what they allow.
+"""Prints, as JSON, where modules take what their settings do not allow, or refuse what they allow; and what the
+expressions of its argument give, a list as JSON, or their errors.
 
 It runs in a process of its own: tests check the types of arguments, and users do not.
 """
 
 import inspect
+import json
+import sys
 from collections.abc import Iterator
 from typing import Any
 
@@ -115,5 +118,13 @@ def complaints() -> Iterator[str]:
                     yield f"{module.__name__} refused {name} = {value!r}: {error}"
 
 
+def value_of(expression: str) -> str:
+    """What an expression gives, or its error, on one line."""
+    try:
+        return str(eval(expression))
+    except (ValueError, TypeError) as error:
+        return str(error).replace("\n", " ")
+
+
 if __name__ == "__main__":
-    print(*complaints(), sep="\n")
+    print(json.dumps({"complaints": [*complaints()], "values": [*map(value_of, json.loads(sys.argv[1]))]}))

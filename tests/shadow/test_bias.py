@@ -392,6 +392,7 @@ def surface_of(position, normal, mask):
     return Surface(position, normal, normal, position, jnp.asarray(mask, jnp.int32), jnp.asarray(mask))
 
 
+@pytest.mark.exhaustive
 def test_maps_that_are_not_square_have_a_mean_texel():
     mesh = floor_and_card()
     light = sun(mesh)

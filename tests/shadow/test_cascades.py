@@ -108,6 +108,7 @@ def test_logarithmic_slices_have_the_same_worst_error():
     np.testing.assert_allclose(np.diff(ends) / ends[:-1], (FAR / NEAR) ** 0.25 - 1, rtol=1e-5)
 
 
+@pytest.mark.exhaustive
 def test_given_slices_end_where_they_are_said_to():
     layout = given_slices(2.0, 30.0)
     light = layout.light(sun(posts()), along_corridor(), (GRID_TEXELS, GRID_TEXELS))
@@ -542,6 +543,7 @@ def _biases(shadow_map, surface, factors):
     return scaled(factors), Bias(plane=ReceiverPlane(), factors=factors)(at), scaled(None), ReceiverPlane()(at)
 
 
+@pytest.mark.exhaustive
 def test_factors_scale_the_bias_of_each_cascade(grid_map):
     factors, depth = (2.0, 0.5), np.linspace(5, 11, SIZE[0] * SIZE[1]).reshape(SIZE)
     points = np.stack([np.zeros(SIZE), np.zeros(SIZE), -depth], axis=-1)

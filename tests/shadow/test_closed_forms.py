@@ -323,6 +323,7 @@ def _box_corners():
     return signs * 0.45 + [0.0, 1.0, 0.0], faces
 
 
+@pytest.mark.exhaustive
 def test_a_plane_cut_off_at_the_receivers_depth_lights_the_foot_of_a_steep_wall():
     """A wall that leans back by 6° over a floor, lit from above: its plane runs on far below the floor."""
     lean, half = np.radians(6.0), 1.0

@@ -181,6 +181,7 @@ def test_beyond_the_far_plane_and_behind_a_spot_light_is_outside():
         assert np.ravel(inside)[:3].tolist() == [False, True, name == "directional"]
 
 
+@pytest.mark.exhaustive
 @settings(max_examples=60, deadline=None)
 @given(
     st.lists(st.floats(-1e4, 1e4), min_size=6, max_size=6),

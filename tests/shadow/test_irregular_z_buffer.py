@@ -217,6 +217,7 @@ def test_triangles_across_the_lights_plane_hide_what_they_hide(light):
     assert_right(scene, trace_visibility_exact(scene, 1), least=0.1)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("light", EACH_LIGHT)
 def test_points_on_edges_of_a_convex_mesh_are_not_hidden_where_it_faces_the_light(light):
     """Rounded, they lie on either side of both faces of their edge."""
@@ -278,6 +279,7 @@ def test_a_mesh_that_does_not_cast_hides_nothing():
     assert 0 < np.mean(visibility[on_shelf & np.asarray(surface.mask)]) < 1
 
 
+@pytest.mark.exhaustive
 def test_a_lamp_on_a_surface_is_not_hidden_by_it():
     """Rounding puts it on either side."""
     tilted = quad((0.1, 1.0, 0.2), (0.7, 0.21, 0.13), (0.11, 0.17, -0.67))

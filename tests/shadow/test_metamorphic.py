@@ -153,10 +153,14 @@ ROWS = {
 """Each technique, and what must leave its picture as it is."""
 RARE = (
     *("three.js, basic", "three.js, variance", "Babylon.js, cube"),
-    *("pages", "warp", "soft shadows", "cascades", "cube", "three.js", "three.js, cube", "cascades by interval"),
+    *("pages", "warp", "soft shadows", "cascades", "cube", "three.js, spot", "three.js, cube", "cascades by interval"),
 )
+# These compile a program of their own.
+COSTLY = ("map exchanged", "light copied")
 TABLE = [
-    pytest.param(name, change, id=f"{name}-{change}", marks=pytest.mark.exhaustive if name in RARE else ())
+    pytest.param(
+        *(name, change), id=f"{name}-{change}", marks=pytest.mark.exhaustive if name in RARE or change in COSTLY else ()
+    )
     for name, row in ROWS.items()
     for change in row.changes
 ]

@@ -134,6 +134,7 @@ def test_even_patterns_converge_faster(name, occluder):
     assert found[-1] < 0.5 * np.sqrt(0.25 / COUNTS[-1])
 
 
+@pytest.mark.exhaustive
 def test_filter_converges_to_the_disks_integral():
     """The filter itself, on a map fine enough that an edge between two texels is straight."""
     texels, radius = 512, 100.0

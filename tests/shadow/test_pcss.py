@@ -298,6 +298,7 @@ def along(shadow_map, lookup, numbers, steps):
     return jax.jvp(total, numbers, steps)
 
 
+@pytest.mark.exhaustive
 def test_slopes_match_central_differences():
     rng = np.random.default_rng(9)
     with jax.enable_x64(True):

@@ -234,6 +234,7 @@ def test_hard_shadows_in_a_closed_room_agree_with_rays(room, room_images):
     assert not wrong[~near_outline(truth, 2)].any()
 
 
+@pytest.mark.exhaustive
 def test_filtered_shadows_in_a_closed_room_agree_with_rays_away_from_outlines(room_images):
     surface, shadow_map, truth = room_images
     # Where walls meet, the other wall rises by some texels within the box.

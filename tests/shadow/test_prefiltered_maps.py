@@ -224,9 +224,8 @@ def test_three_depths_bleed_in_moments_less_than_in_variance():
     assert 0.01 < moments < 0.6 * variance
 
 
-@pytest.mark.parametrize(
-    "names", [("variance",), pytest.param(tuple(KINDS), marks=pytest.mark.exhaustive)], ids=["variance", "all"]
-)
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("names", [("variance",), tuple(KINDS)], ids=["variance", "all"])
 def test_layers_of_a_point_light_are_filtered_apart(names, rng):
     light = PointLight((0, 0, 0), near=0.5, far=5.0)
     depth = jnp.asarray(rng.uniform(0.5, 0.6, (6, 11, 14)), jnp.float32)

@@ -122,6 +122,7 @@ def test_what_lies_behind_the_light_is_lit(floor):
     assert np.all(np.asarray(ANY.visibility(texture, floor)) == 1)
 
 
+@pytest.mark.exhaustive
 def test_point_light_projects_as_a_spot_light_that_looks_the_same_way(floor):
     spot = SpotLight((0, 2, 0), (0, -1, 0), 45, 0.1, 4)
     point = PointLight((0, 2, 0), 0.1, 4, guard=0.0)

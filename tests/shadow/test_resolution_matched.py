@@ -313,6 +313,7 @@ def test_too_little_memory_blurs_shadows():
     assert abs(images[0].mean() - images[1].mean()) < 0.03
 
 
+@pytest.mark.exhaustive
 def test_too_coarse_a_finest_level_is_counted():
     scene, surface = ground()
     finer = pages_for(scene, surface, layout_of(level_bias=-2.0))
@@ -342,6 +343,7 @@ def test_figures_of_pages_show_levels_where_there_are_shadows():
     assert np.unique(figure.brightness).tolist() == [0.75, 1.0]
 
 
+@pytest.mark.exhaustive
 def test_nothing_beyond_the_shadow_distance_is_requested_or_shadowed():
     scene, surface = ground()
     mask, depth = np.asarray(surface.mask), 20 - np.asarray(surface.position)[..., 2]

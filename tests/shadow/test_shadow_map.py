@@ -72,6 +72,7 @@ def test_map_holds_the_depth_of_what_the_light_sees_first(light):
     assert shadow_map.resolution == SIZE
 
 
+@pytest.mark.exhaustive
 def test_light_that_sees_nothing_leaves_everything_lit():
     away = SpotLight((0, 3, 0), (0, 1, 0), 30.0, 0.1, 10.0)
     shadow_map = drawn_map(floor_and_card(), away)

@@ -448,6 +448,7 @@ def test_half_planes_move_as_edges_do():
     assert np.abs(differences[2]).max() > 10
 
 
+@pytest.mark.exhaustive
 def test_of_several_crossings_of_a_side_the_outermost_counts():
     """First of those that lie on it, then of those near its corners; and of several at one place the first."""
     count, texels = 60, 3

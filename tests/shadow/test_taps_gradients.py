@@ -198,6 +198,7 @@ def test_custom_derivative_is_the_plain_one(name):
             assert (np.abs(np.asarray(expected[1])).max() == 0) == flat
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", KERNEL_CASES)
 def test_forward_and_reverse_mode_agree(name):
     with jax.enable_x64(True):
@@ -236,6 +237,7 @@ def test_jacobians_agree_and_mapping_over_radii_is_a_loop():
         assert np.abs(slopes).max() > 1e-3
 
 
+@pytest.mark.exhaustive
 def test_a_map_that_moves_and_a_radius_that_does_not_give_the_maps_gradient_alone():
     with jax.enable_x64(True):
         rng = np.random.default_rng(5)

@@ -123,7 +123,7 @@ SCENES = [
     pytest.param(*scene, marks=() if scene in FEW else pytest.mark.exhaustive)
     for scene in (*Z_FAIL_SCENES, *Z_PASS_SCENES)
 ]
-WHEN = ["pass", pytest.param("fail", marks=pytest.mark.exhaustive)]
+WHEN = ["pass", "fail"]
 
 
 # Against rays
@@ -378,6 +378,7 @@ def test_weights_and_windings_add_up(when):
     assert not counts.any()
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("when", WHEN)
 def test_counts_equal_opengls_stencil_on_999_of_1000_pixels_and_the_rest_is_explained(when):
     total, differing, listed, unexplained = 0, 0, [], []
@@ -400,6 +401,7 @@ def test_counts_equal_opengls_stencil_on_999_of_1000_pixels_and_the_rest_is_expl
     assert not unexplained, message
 
 
+@pytest.mark.exhaustive
 def test_few_pixels_of_the_stencil_goldens_could_be_explained_away():
     rng = np.random.default_rng(0)
     near = [

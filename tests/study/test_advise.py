@@ -568,6 +568,7 @@ def quick(monkeypatch):
     return measure
 
 
+@pytest.mark.exhaustive
 def test_bias_is_no_worse_than_its_special_cases(quick, monkeypatch):
     """Whatever its own fit found: one of constant and slope has the better constant, and not that without a slope."""
     from diffshadow.study.sweeps import _work as work
@@ -593,6 +594,7 @@ def test_bias_is_no_worse_than_its_special_cases(quick, monkeypatch):
         assert candidates["slope"]["rmse"] == 0.3
 
 
+@pytest.mark.exhaustive
 def test_errors_are_those_of_the_validation_if_there_is_one(quick):
     plain, _ = run(load_advice(Path("a.yaml"), ["output=plain"]))
     stored = result_of(plain)["advice"]

@@ -236,6 +236,7 @@ def test_member_that_is_larger_than_it_says_is_refused(runs, told, tmp_path):
     assert "arrays.npz is damaged" in told("report", folder)
 
 
+@pytest.mark.exhaustive
 def test_history_that_is_not_finite_is_drawn(runs, told, tmp_path):
     """A fit may pass through places where nothing can be computed."""
     folder = copied(runs["fit"], tmp_path / "run")
@@ -355,6 +356,7 @@ def test_pipe_for_a_result_is_not_waited_for(counted):
     assert counted == [1.0]
 
 
+@pytest.mark.exhaustive
 def test_run_that_is_not_unicode_is_named_all_the_same(counted, told, monkeypatch):
     """A folder's name may hold bytes that are no text, and a program's output must be some."""
     strange = os.fsdecode(b"b\xe4d")

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rich.console import Console
-from scenes import staying_in
+from scenes import marked, staying_in
 
 from diffshadow import study
 from diffshadow.config import ConfigError, load_config
@@ -196,7 +196,7 @@ LINES = {
 }
 
 
-@pytest.mark.parametrize("engine", LINES)
+@pytest.mark.parametrize("engine", marked(LINES, ("bevy", "filament")))
 def test_code_of_a_formula_has_the_engines_units(engine):
     """A bias of half a texel, an offset of half a texel, and a radius of the engine's own."""
     (bias, offset), filters = HAS[engine]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 from rich.console import Console
-from scenes import staying_in
+from scenes import marked, staying_in
 from stored_runs import write_render
 
 from diffshadow import study
@@ -75,7 +75,7 @@ def check_alone(config: Config, folder: Path) -> None:
     assert list(found.settings) == describe(config)
 
 
-@pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", marked(CONFIGS, CONFIGS[6:]), ids=lambda path: path.stem)
 def test_settings_of_every_shipped_configuration_are_read_from_the_run_alone(path, tmp_path):
     config = load_config(path, TINY, fitting=False)
     check_alone(config, tmp_path / "run")
@@ -171,6 +171,7 @@ def random_config(rng: np.random.Generator) -> Config | None:
     return config
 
 
+@pytest.mark.exhaustive
 def test_random_configurations_are_read_from_the_run_as_they_were(tmp_path):
     rng, checked, kinds = np.random.default_rng(17), 0, set()
     for turn in range(1000):

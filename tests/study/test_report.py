@@ -136,6 +136,7 @@ def test_differences_share_the_least_scale_that_holds_nearly_all(tmp_path):
     assert difference_limit([light], slice(-1, None)) == (0.05, "both")
 
 
+@pytest.mark.exhaustive
 def test_several_lights_have_pictures_and_errors_each(tmp_path):
     folder = write_fit(tmp_path / "tiny", lights=2)
     parsed = Parsed(study.report(folder))
@@ -286,6 +287,7 @@ def test_errors_of_several_lights_are_those_of_all_their_pixels():
     assert combined(errors, drawn) == pytest.approx({"mae": 0.175, "rmse": np.sqrt(0.07)})
 
 
+@pytest.mark.exhaustive
 def test_any_text_may_name_a_run(tmp_path):
     """No name is taken for mathematics, left out of a legend, obeyed by a terminal or warned of."""
     names = ["_hidden", "$x_{\\frac", "\u65e5\u672c", "a\x1b[31m\nb\x85<i>"]

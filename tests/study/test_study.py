@@ -423,7 +423,10 @@ def test_second_run_traces_nothing_and_finds_the_same(finished, monkeypatch, tmp
     assert [entry.name for entry in Path("runs").iterdir()] == ["tiny"]
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError, OSError])
+@pytest.mark.parametrize(
+    "error",
+    [KeyboardInterrupt, *(pytest.param(each, marks=pytest.mark.exhaustive) for each in (RuntimeError, OSError))],
+)
 def test_run_that_dies_while_writing_leaves_the_earlier_one(error, monkeypatch, tmp_path):
     earlier = tmp_path / "runs" / "tiny"
     earlier.mkdir(parents=True)
@@ -552,7 +555,8 @@ def test_the_verdict_comes_first_everywhere(finished, tiny_figures, tmp_path):
     assert found["sentence"] in study.compare([folder, made], tmp_path / "both.html", console=to).read_text()
 
 
-@pytest.mark.parametrize("really", [False, pytest.param(True, marks=pytest.mark.exhaustive)])
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("really", [False, True])
 def test_flat_gradient_is_reported_with_its_cause(really, tiny_figures, monkeypatch):
     def flat(problems, *arguments, **settings):
         # By the program of other tests.

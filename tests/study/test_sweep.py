@@ -26,6 +26,7 @@ from diffshadow import study
 from diffshadow.config import Config, ConfigError, SweepConfig, load_config, load_sweep
 from diffshadow.config.reading._axes import levels_of
 from diffshadow.config.reading._load import parse_draft
+from diffshadow.metrics import flicker
 from diffshadow.study.sweeps._curves import curves_of
 from diffshadow.study.sweeps._run import missing_runs
 
@@ -195,6 +196,21 @@ FAULTS = {
         "{limit_samples: 64, grid: {filter: [{type: pcf}]}}",
         "sweep.limit_samples: is given, but there are runs of technique shadow_map with filter pcf",
         "expected shadow_map with random_disk",
+    ),
+    "flicker of a bias": (
+        "{repeats: 2, flicker: {count: 2, through: {bias.constant: [0, 1]}}}",
+        "sweep.flicker.through.bias.constant: is neither the camera's nor a light's",
+        "keys within scene.camera, scene.light",
+    ),
+    "flicker along an axis": (
+        "{grid: {scene.light.azimuth: [0, 1]}, flicker: {count: 2, through: {scene.light.azimuth: [0, 1]}}}",
+        "moves scene.light.azimuth, and sweep.grid.scene.light.azimuth sets it",
+        "remove one of them",
+    ),
+    "flicker beyond a limit": (
+        "{repeats: 2, flicker: {count: 3, through: {scene.light.elevation: [80, 100]}}}",
+        "t.yaml:12: scene.light.elevation: is 100",
+        "expected a number",
     ),
     "labels": ("{list: [{label: a}, {bias.slope: 1}]}", "sweep.list.1: has no label", "for all or none"),
 }
@@ -407,6 +423,20 @@ def test_table_has_a_row_for_each_run_in_order(finished):
     assert timings["id"] == columns["id"]
     assert all(seconds > 0 for seconds in timings["total"])
     assert not set(timings) & set(columns) - {"run", "id"}
+
+
+def test_flicker_is_measured_along_a_path():
+    """From frame to frame, as `metrics.flicker` of what renders of the frames show; a bias of 0 crawls most."""
+    path = "{count: 2, through: {scene.light.azimuth: [-150, -148]}}"
+    sweep = sweep_of(f"{{grid: {{bias.constant: [0, 4]}}, flicker: {path}, plot: {{x: bias.constant, y: flicker}}}}")
+    assert [frame.scene.light.azimuth for frame in sweep.runs[0].frames] == [-150, -148]
+    assert sweep.runs[0].id != sweep_of("{grid: {bias.constant: [0, 4]}}").runs[0].id
+    found = table(study.run_sweep(sweep, console=Console(quiet=True), workers=0))["flicker"]
+    render = lambda frame: study.read_run(study.run_render(frame, console=Console(quiet=True))).lights[0]
+    lights = map(render, sweep.runs[0].frames)
+    frames = zip(*((each.images[0][1], each.reference, each.mask) for each in lights), strict=True)
+    assert found[0] == pytest.approx(flicker(*map(np.stack, frames)), rel=1e-5)
+    assert found[0] > 2 * found[1] > 0
 
 
 def test_run_folder_says_what_was_done_and_does_it_again(finished):

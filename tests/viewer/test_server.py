@@ -1,8 +1,11 @@
 """The server of pages: one acknowledged picture at a time, and nothing for strangers."""
 
 import asyncio
+import contextlib
 import json
 import struct
+import threading
+import time
 
 import pytest
 from tornado.httpclient import AsyncHTTPClient, HTTPRequest
@@ -12,6 +15,7 @@ from viewed import TINY
 import diffshadow
 from diffshadow.config import parse_config
 from diffshadow.viewer._server import Server
+from diffshadow.viewer._viewer import Viewer
 
 SECONDS = 60
 
@@ -113,6 +117,52 @@ def test_two_pages_have_settings_of_their_own_and_a_page_that_leaves_disturbs_no
     talking(script)
 
 
+def test_no_page_waits_for_what_another_has_to_compile(monkeypatch):
+    compiled, draw = threading.Event(), Viewer.show
+
+    def show(viewer, look, **options):
+        assert not look.state.structure or compiled.wait(SECONDS)
+        return draw(viewer, look, **options)
+
+    monkeypatch.setattr(Viewer, "show", show)
+
+    async def script(server, opened):
+        one, other = await opened(), await opened()
+        await one.send(look=look())
+        full = await one.hear("about")
+        while not full["is_full"]:
+            await one.send(shown=full["number"])
+            full = await one.hear("about")
+        await other.send(look={"state": {"structure": {"filter": {"type": "bilinear"}}}})
+        await other.hear("controls")
+        await one.send(look=look(**{"bias.constant": 1.0}), shown=full["number"])
+        assert (await one.hear("about"))["number"] == full["number"] + 1
+        compiled.set()
+        await other.hear("about")
+
+    talking(script)
+
+
+def test_a_page_at_rest_gets_its_reference_while_another_is_dragged():
+    async def script(server, opened):
+        one, other = await opened(), await opened()
+        await one.send(look=look(**{"scene.light.azimuth": 20.0}))
+        shown = await one.hear("about")
+        until = time.monotonic() + SECONDS
+        azimuth = 21.0
+        while not shown["rays"] and time.monotonic() < until:
+            # The other page never rests.
+            azimuth += 0.5
+            await other.send(look=look(**{"scene.light.azimuth": azimuth}))
+            await other.send(shown=(await other.hear("about"))["number"])
+            await one.send(shown=shown["number"])
+            with contextlib.suppress(TimeoutError):
+                shown = await asyncio.wait_for(one.hear("about"), 0.1)
+        assert shown["rays"]
+
+    talking(script)
+
+
 @pytest.mark.parametrize(
     ("message", "said"),
     [
@@ -207,6 +257,15 @@ def test_a_page_beside_python_has_the_values_that_it_was_left_with(tmp_path):
 def test_a_scene_of_python_is_shown_with_its_meshes_camera_and_lights():
     from diffshadow.config import build_scene
 
+    lamp = {"type": "spot", "position": [1, 3, 1], "radius": 0.1}
+    lit_by = f"scene.lights=[{{azimuth: -60, elevation: 50, angular_radius: 2}}, {json.dumps(lamp)}]"
+    several = build_scene(parse_config(TINY, ["scene.light=null", lit_by]))
+    page = diffshadow.view(several, "shadow_map.resolution=[64, 64]")
+    sun, spot = page.config.scene.lights
+    assert (sun.type, spot.type) == ("directional", "spot")
+    assert (sun.angular_radius, spot.radius) == pytest.approx((2, 0.1), abs=1e-4)
+    assert spot.position == pytest.approx((1, 3, 1), abs=1e-4)
+    page.close()
     scene = build_scene(parse_config(TINY))
     page = diffshadow.view(scene, "shadow_map.resolution=[64, 64]")
     shown = page.config.scene

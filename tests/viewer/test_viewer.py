@@ -246,7 +246,7 @@ def test_references_get_better_and_give_the_figures_of_a_render(viewer, tmp_path
 def test_what_is_no_longer_shown_is_not_traced_to_its_end(viewer):
     first = look(numbers={"scene.light.azimuth": 5.0})
     viewer.trace(first)
-    viewer.tracer.rest()
+    viewer.tracer.rest(None)
     second = look(numbers={"scene.light.azimuth": 6.0})
     traced(viewer, second, 16)
     reached = viewer.tracer.reference(viewer.frame(first, full=True).truth_key)
@@ -267,6 +267,7 @@ def test_views_are_those_that_the_technique_has(viewer):
     assert biased.from_light().mean() > frame.from_light().mean()
 
 
+@pytest.mark.exhaustive
 def test_before_is_the_configurations_own_technique(viewer):
     from PIL import Image
 

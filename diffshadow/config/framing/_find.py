@@ -2,8 +2,9 @@
 
 import math
 import os
+import pickle
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,9 +21,10 @@ from ._meshes import place_mesh
 
 # Digits of lengths, counted from the scene's size.
 _DIGITS = 4
-# Scenes whose triangles are kept, since views and runs share them.
-_MAX_KEPT = 4
+# Meshes whose triangles are kept, and scenes whose parts that were found: views and runs share them.
+_MAX_KEPT, _MAX_ARRANGED = 4, 64
 _kept: dict[str, Float[HostArray, "f 3 3"]] = {}
+_arranged: dict[bytes, geometry.Arranged] = {}
 
 
 class Found(NamedTuple):
@@ -52,11 +54,10 @@ def find(config: Config, scene: Mapping[str, Any], asked: Asked) -> Found | None
     if asked.light and is_placed_sun(scene["light"]):
         light = _given_light(config.scene, meshes[0])
     view = None if asked.camera else _given_camera(camera, meshes[0])
-    found = geometry.arrange(
-        corners,
-        geometry.Given(light, view, lens, room_lens, casts, up),
-        geometry.Wanted(asked.camera, asked.light and light is None, asked.ground),
-    )
+    given = geometry.Given(light, view, lens, room_lens, casts, up)
+    wanted = geometry.Wanted(asked.camera, asked.light and light is None, asked.ground)
+    key = pickle.dumps(([_key_of(mesh) for mesh in config.scene.meshes], given, wanted))
+    found = _remembered(_arranged, _MAX_ARRANGED, key, lambda: geometry.arrange(corners, given, wanted))
     return _written(scene, found, corners, up, asked)
 
 
@@ -165,15 +166,30 @@ def _orbited(orbit: Any, first: Float[HostArray, "f 3 3"]) -> Float[HostArray, "
 
 def corners_of(section: MeshConfig) -> Float[HostArray, "f 3 3"]:
     """The triangles of a mesh in the world, in double precision. Warnings on its file come as the scene is built."""
+
+    def make() -> Float[HostArray, "f 3 3"]:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            placed = place_mesh(section)
+        return placed.vertices[np.asarray(placed.faces)]
+
+    return _remembered(_kept, _MAX_KEPT, _key_of(section), make)
+
+
+def _key_of(section: MeshConfig) -> str:
+    """What the triangles of a mesh depend on."""
     key = section.model_dump_json()
     if section.builtin is None:
         state = os.stat(section.path)
         key += f"{state.st_mtime_ns} {state.st_size}"
-    if key not in _kept:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            placed = place_mesh(section)
-        while len(_kept) >= _MAX_KEPT:
-            del _kept[next(iter(_kept))]
-        _kept[key] = placed.vertices[np.asarray(placed.faces)]
-    return _kept[key]
+    return key
+
+
+def _remembered[K, V](kept: dict[K, V], most: int, key: K, make: Callable[[], V]) -> V:
+    """What `make` returns, kept for the next calls with this key; the oldest is dropped first."""
+    if key not in kept:
+        made = make()
+        while len(kept) >= most:
+            del kept[next(iter(kept))]
+        kept[key] = made
+    return kept[key]

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from .._errors import ConfigError, KeyPath, Location, Mistake, Origin, dotted
 from ..sections._axes import LABEL, SUN, AxesConfig, PathConfig, QuasiRandomConfig, SunConfig
-from ..sections._sweep import SweepConfig
+from ..sections._sweep import FlickerConfig, SweepConfig
 from ._draft import Draft
 from ._overrides import apply_overrides
 
@@ -69,6 +69,14 @@ def levels_of(settings: AxesConfig, draft: Draft) -> list[list[Choice]]:
         paths = {key: (*at, "qmc", "axes", key) for key in settings.qmc.axes}
         levels.append([Choice(point, paths) for point in _points(settings.qmc)])
     return _merged([*levels, *(_seeds(settings, draft) if isinstance(settings, SweepConfig) else ())])
+
+
+def steps_of(flicker: FlickerConfig | None) -> list[Choice]:
+    """The points along the path over which flicker is measured; none without one."""
+    if flicker is None:
+        return []
+    paths = {key: ("sweep", "flicker", "through", key) for key in flicker.through}
+    return [Choice(point, paths) for point in _along(flicker)]
 
 
 def _seeds(settings: SweepConfig, draft: Draft) -> list[list[Choice]]:

@@ -22,7 +22,7 @@ from ..sections._axes import LABEL
 from ..sections._filters import RandomDiskConfig
 from ..sections._sweep import SweepConfig
 from ..whole._schema import Config
-from ._axes import levels_of, written
+from ._axes import levels_of, steps_of, written
 from ._load import Draft, checked, load_draft
 from ._mistakes import mistakes_of
 
@@ -47,11 +47,13 @@ class SweepRun(NamedTuple):
         files. The order of the runs, names and folders have no effect on it.
     - `values`: the run's value on each axis.
     - `config`: its configuration, without the sweep.
+    - `frames`: the configurations along the path of `sweep.flicker`; none without it.
     """
 
     id: str
     values: Mapping[str, Any]
     config: Config
+    frames: tuple[Config, ...] = ()
 
 
 class SweepRuns(Sequence[SweepRun]):
@@ -69,6 +71,7 @@ class SweepRuns(Sequence[SweepRun]):
         self._base = draft._replace(data=data, origin=Origin(draft.origin.source, places))
         self._axes, self._seed = settings.axes, data.get("seed", 0)
         self._levels = levels_of(settings, draft)
+        self._steps = steps_of(settings.flicker)
         counts = [len(level) for level in self._levels]
         self._count = math.prod(counts)
         # For each level, the distance between the runs of neighbouring choices.
@@ -136,7 +139,7 @@ class SweepRuns(Sequence[SweepRun]):
                     faults[mistake] = first, count + 1
             else:
                 ids += bytes.fromhex(run.id)
-                if self._count <= _MAX_KEPT:
+                if self._count * (1 + len(self._steps)) <= _MAX_KEPT:
                     kept.append(run)
             checked += 1
             if progress is not None:
@@ -181,10 +184,12 @@ class SweepRuns(Sequence[SweepRun]):
     def _made(self, index: int, draft: Draft) -> SweepRun:
         config = checked(draft, fitting=self._settings.run == "fit")
         _check_limit(config, self._settings, self._origin)
+        frames = tuple(checked(written(draft, step, self._origin)) for step in self._steps)
         # The checks are done, so do not send the places of keys to the workers.
-        config._origin = Origin(self._origin.source)
+        for each in (config, *frames):
+            each._origin = Origin(self._origin.source)
         id = _id_of(config, self._settings) if self._ids is None else self.id(index)
-        return SweepRun(id, self._values(index), config)
+        return SweepRun(id, self._values(index), config, frames)
 
 
 class Sweep(NamedTuple):
@@ -308,6 +313,8 @@ def _id_of(config: Config, settings: SweepConfig) -> str:
         "limit_samples": settings.limit_samples,
         "config": data,
     }
+    if settings.flicker is not None:
+        whole["flicker"] = settings.flicker.model_dump(mode="json")
     return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()[: 2 * _ID_BYTES]
 
 

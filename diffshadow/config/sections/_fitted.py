@@ -1,5 +1,6 @@
 """Which numbers of a configuration can be fitted: those marked as `Fitted` in their sections."""
 
+import functools
 from collections.abc import Iterator, Mapping
 from typing import Any, get_args, get_origin
 
@@ -157,6 +158,7 @@ def _path(section: type[Section], key: str) -> str:
     return path
 
 
+@functools.cache
 def _fitted_keys(section: type[Section]) -> dict[str, Fitted]:
     """The keys of `section` that can be fitted."""
     fields = section.model_fields.items()

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from ...config import LIMIT_ERROR, PlotConfig, Row
+from ...config import FLICKER, LIMIT_ERROR, PlotConfig, Row
 from .. import style
 from ._curves import Curve, with_unit
 
@@ -16,6 +16,7 @@ _METRICS = {
     "rmse": "RMSE [visibility]",
     "mae": "mean absolute error [visibility]",
     "ssim": "SSIM",
+    FLICKER: "flicker [visibility]",
     LIMIT_ERROR: "RMSE against the filter's limit [visibility]",
 }
 

@@ -9,7 +9,7 @@ import threading
 import time
 import warnings
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,7 +20,7 @@ from rich.console import Console
 
 from ... import io, metrics, reference
 from ..._types import HostArray
-from ...config import LIMIT_ERROR, Config, SweepConfig, SweepRun, build_technique, changed
+from ...config import FLICKER, LIMIT_ERROR, Config, SweepConfig, SweepRun, build_technique, changed
 from ...settings.filters import RandomDisk
 from .._drawn import Drawn
 from ..files._run_folder import RESULT, folder_of, remove, write_whole
@@ -121,7 +121,8 @@ def _measured(settings: SweepConfig) -> tuple[dict[str, type], tuple[str, ...]]:
     if settings.run == "fit":
         names = [*(f"{when}.{name}" for when in ("before", "after") for name in errors), "steps"]
     else:
-        names = [*errors, *([] if settings.limit_samples is None else [LIMIT_ERROR])]
+        optional = {LIMIT_ERROR: settings.limit_samples, FLICKER: settings.flicker}
+        names = [*errors, *(name for name, given in optional.items() if given is not None)]
     names += ["reference_noise_floor", "pixels"]
     further = (FITTED, VALIDATION) if settings.run == "fit" else ()
     return {name: int if name in WHOLE else float for name in names}, further
@@ -182,6 +183,8 @@ def _do(batch: Batch, run: SweepRun) -> Outcome:
     try:
         config = _with_figures(batch, run) if batch.settings.figures else run.config
         measured = _MEASURES[batch.settings.run](config, batch, stages)
+        if run.frames:
+            measured[FLICKER] = _flicker(run.frames, stages)
         status, error = OK, None
     except Exception as problem:
         measured, status, error = {}, FAILED, f"{type(problem).__name__}: {problem}"
@@ -235,6 +238,20 @@ def _of_reference(drawn: list[Drawn]) -> Measured:
 def _draw(config: Config, stages: Stages) -> list[Drawn]:
     compute = lambda: draw(config, load(config, stages), build_technique(config, fitting=False), stages)
     return _kept(("drawing", drawing_of(config)), compute)
+
+
+def _flicker(frames: Sequence[Config], stages: Stages) -> float:
+    """How much the shadows of all lights shimmer from frame to frame."""
+    drawn = [_draw(frame, stages) for frame in frames]
+    with stages.stage("flicker"):
+        techniques = [build_technique(frame, fitting=False) for frame in frames]
+        found = []
+        for lights in zip(*drawn, strict=True):
+            images = np.stack([visibility_of(*each) for each in zip(techniques, lights, strict=True)])
+            truths = np.stack([each.reference.visibility for each in lights])
+            masks = np.stack([each.mask for each in lights])
+            found.append({"rmse": metrics.flicker(images, truths, masks)})
+        return record.combined(found, drawn[0])["rmse"]
 
 
 def _limits(

@@ -97,11 +97,13 @@ REPEATED = (
     "directional_pcf_medium",
     "directional_pcss_high",
     "directional_pcss_medium",
+    "directional_poisson",
     "directional_poisson_frustum_falloff",
     "point_close_esm",
     "point_esm",
     "spot_blur_close_esm_half_float_kernel",
     "spot_close_esm",
+    "spot_pcf_bias",
     "spot_pcss",
     "spot_poisson",
 )
@@ -210,6 +212,7 @@ def tie(filter_):
     return np.asarray(technique.visibility(EngineMap(jnp.full((4, 4), 0.5), light, [0.0], [True]), surface))
 
 
+@pytest.mark.exhaustive
 def test_equal_depth_is_lit_by_metric_and_shadowed_by_the_texture_unit():
     assert (tie("NONE") == 1).all()
     assert (tie("POISSONSAMPLING") == 1).all()

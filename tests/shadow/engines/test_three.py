@@ -60,11 +60,13 @@ def from_own_map(golden, technique):
 # Each of these takes a program of its own, for settings that others have too.
 REPEATED = (
     "directional_pcf_default_frustum",
+    "directional_pcf_frustum_reversed",
     "directional_pcf_oblong",
     "directional_vsm_default_sides",
     "directional_vsm_frustum_reversed",
     "directional_vsm_normal_bias",
     "directional_vsm_uncast",
+    "spot_pcf_oblong_focus",
     "spot_vsm_odd_sizes",
 )
 
