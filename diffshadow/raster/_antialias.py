@@ -12,11 +12,10 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from .._arithmetic import take
 from .._checks import check_instance
 from .._padding import padded_to, round_up_to_power_of_two
 from .._types import ClipVertices, FaceMap, Resolution, Vec3
-from ..geometry import NO_NEIGHBOUR, AbstractCamera, Edges, Mesh, MeshLike, View, as_mesh
+from ..geometry import AbstractCamera, Edges, Mesh, MeshLike, View, as_mesh
 from ..settings import maps
 from ..settings.maps import Cull
 from ._boundaries import Boundaries, Pieces, find_creases
@@ -25,9 +24,6 @@ from ._interpolate import Points
 from ._rasterize import NO_FACE
 from ._sides import Sides, adjoining
 from ._surface import Surface, surface_at_centres, surface_at_points
-
-# How far within a silhouette its surface is shaded, in pixels: at the silhouette itself, a smooth one is seen edge-on.
-_INSET = 0.25
 
 
 class AntialiasPlan(eqx.Module):
@@ -49,14 +45,11 @@ class AntialiasedSurface(eqx.Module):
         pixels, such as visibility and colours, is an image of that size; `resolve` makes a picture (h, w) of it.
     - `pixel`: (n,), the pixel that each boundary is in, row · width + column; h · w for none.
     - `area`: (n,), how much of the pixel's mean it moves from its left colour to its right one. It may be negative.
-    - `pull`: (n,), how far it moves the colour at the pixel's centre towards its left one: where the centre lies just
-        within a silhouette, and sees a smooth surface edge-on.
     """
 
     surface: Surface
     pixel: Int[Array, " n"]
     area: Float[Array, " n"]
-    pull: Float[Array, " n"]
     resolution: Resolution = eqx.field(static=True)
 
     @property
@@ -90,9 +83,7 @@ class AntialiasedSurface(eqx.Module):
         centres, others = image[:height], image[height:]
         left, right = others.reshape(2, -1, *image.shape[2:])[:, : self.area.shape[0]]
         flat = centres.reshape(height * width, *image.shape[2:])
-        own = flat[jnp.minimum(self.pixel, height * width - 1)]
-        each = lambda weight: weight.reshape(-1, *[1] * (left.ndim - 1))
-        change = each(self.area) * (right - left) + each(self.pull) * (left - own)
+        change = (right - left) * self.area.reshape(-1, *[1] * (left.ndim - 1))
         return flat.at[self.pixel].add(change, mode="drop").reshape(centres.shape)
 
 
@@ -182,16 +173,11 @@ def _antialiased(
     in_rows = lambda values, fill: jnp.stack(
         [jnp.pad(side, (0, -count % width), constant_values=fill).reshape(-1, width) for side in values]
     ).reshape(-1, width)
-    inset = jnp.where((take(found.right, pieces.segment) == NO_NEIGHBOUR)[:, None], _INSET * pieces.right, 0)
-    at = [place * (2 / np.array([width, height])) - 1 for place in (pieces.nearest - inset, pieces.nearest)]
-    points = Points(*(in_rows([place[:, k] for place in at], 0) for k in range(2)))
+    at = pieces.nearest * (2 / np.array([width, height])) - 1
+    points = Points(*(in_rows([at[:, k]] * 2, 0) for k in range(2)))
     others = surface_at_points(mesh, eye, view, in_rows([sides.left, sides.right], NO_FACE), clip, points)
     surface = jax.tree.map(
         lambda *parts: jnp.concatenate(parts), surface_at_centres(mesh, eye, view, centres, clip), others
     )
     area = jnp.where(sides.in_sight, pieces.beyond + sides.correction, 0)
-    # Of half the directions round the centre, the share in which the piece lies.
-    share = jnp.clip(2 * pieces.beyond, 0, 1)
-    near = jnp.clip(1 - pieces.distance / _INSET, 0, 1)
-    pull = jnp.where(sides.within & sides.in_sight, share * near, 0)
-    return AntialiasedSurface(surface, pieces.pixel, area, pull, (height, width)), found.count
+    return AntialiasedSurface(surface, pieces.pixel, area, (height, width)), found.count

@@ -88,8 +88,7 @@ class Pieces(eqx.Module):
     - `middle`: (n, 2), its middle, and `nearest`: (n, 2), its point closest to the pixel's centre, in pixels of the
         window. Only the latter has a derivative.
     - `right`: (n, 2), the unit normal to its right.
-    - `height`: (n,), how far to its left the pixel's centre lies, and `distance`: (n,), how far from `nearest`, in
-        pixels.
+    - `height`: (n,), how far to its left the pixel's centre lies, in pixels.
     - `beyond`: (n,), the area, in square pixels, that it hides from the pixel's centre within the pixel; negative if
         the centre lies to its right.
     - `wall`: (n, 3), the line x · p_x + y · p_y + c = 0 of another piece that ends this one; zeros for none.
@@ -102,7 +101,6 @@ class Pieces(eqx.Module):
     nearest: Float[Array, "n 2"]
     right: Float[Array, "n 2"]
     height: Float[Array, " n"]
-    distance: Float[Array, " n"]
     beyond: Float[Array, " n"]
     wall: Float[Array, "n 3"]
     hidden: Bool[Array, " n"]
@@ -181,7 +179,6 @@ class Pieces(eqx.Module):
             nearest=moving(first + closest * (last - first)),
             right=right,
             height=jnp.sum(right * (middle - centre), axis=1),
-            distance=jnp.sqrt(jnp.sum((a + closest[:, None] * step) ** 2, axis=1)) + speed,
             beyond=beyond - jnp.where(exists, length * speed, 0),
             wall=wall,
             # The part of a cut piece that begins or ends on the left of its wall is behind that wall's surface.

@@ -21,15 +21,13 @@ _ADJOINING = 4.0
 
 
 class Sides(NamedTuple):
-    """The faces to the `left` and `right` of pieces (n,), whether these are `in_sight`, a `correction` of the area for
-    those that pass a pixel's centre on the other side than the rasterizer found, and whether a pixel's centre lies
-    `within` a silhouette, on the surface to its left."""
+    """The faces to the `left` and `right` of pieces (n,), whether these are `in_sight`, and a `correction` of the area
+    for those that pass a pixel's centre on the other side than the rasterizer found."""
 
     left: Int[Array, " n"]
     right: Int[Array, " n"]
     correction: Float[Array, " n"]
     in_sight: Bool[Array, " n"]
-    within: Bool[Array, " n"]
 
     @classmethod
     def of(
@@ -83,6 +81,8 @@ class Sides(NamedTuple):
         is_beyond = across_wall(place) * across_wall(middle) < 0
         behind_first = distance + jnp.where(beside, 4, 0) + jnp.where(is_beyond, 16, 0)
         to_right, to_left = (nearest(jnp.where(turn * aside > _CLEAR, behind_first, jnp.inf)) for turn in (1, -1))
+        # At a smooth silhouette, its own face is seen edge-on. One further in has the colour that moves with it.
+        inside = nearest(jnp.where(aside < -_CLEAR, distance + jnp.where(beside, 0, 4), jnp.inf))
         crease_to = take(found.right, pieces.segment)
         is_crease = crease_to != NO_NEIGHBOUR
         # A mesh's outline may run back for a short way, within the outline of its nearer faces.
@@ -94,12 +94,12 @@ class Sides(NamedTuple):
         is_left = jnp.where(is_crease, centre == left, beside[0] ^ is_back)
         is_close = (jnp.abs(pieces.height) < _CLEAR) & (jnp.abs(pieces.beyond) > 0.25)
         is_wrong = is_close & (is_left != (pieces.height > 0)) & (~is_crease | (centre == left) | (centre == right))
+        shaded = jnp.where(is_back, to_right.face, jnp.where(inside.is_beside, inside.face, left))
         exists = pieces.pixel < height * width
         return cls(
-            left=jnp.where(exists, jnp.where(is_back, to_right.face, left), NO_FACE),
+            left=jnp.where(exists, jnp.where(is_crease, left, shaded), NO_FACE),
             right=jnp.where(exists, right, NO_FACE),
             correction=jnp.where(is_wrong, -jnp.sign(pieces.beyond), 0),
-            within=~is_crease & ~is_back & beside[0],
             in_sight=in_sight & ~pieces.hidden & (~is_crease | nearest(distance).is_behind),
         )
 
