@@ -103,7 +103,7 @@ def find_silhouettes(
     # At least 1, since an empty array cannot be indexed.
     capacity = max(capacity, 1)
     crossings = find_crossings(outline, corners.reshape(-1), grid, capacity)
-    found = find_contours(depth.reshape(-1), corners.reshape(-1), crossings, grid)
+    found = find_contours(depth.reshape(-1), corners.reshape(-1), crossings, outline, grid)
     number = jnp.arange(2 * capacity, dtype=jnp.int32)
     place = jnp.where(found.exists, crossings.texel, grid.texels)
     slot = jnp.full(grid.texels + 1, NO_SILHOUETTE, jnp.int32).at[place].max(number)[:-1]
