@@ -62,7 +62,7 @@ def corner_of_chain(
 
     chord = _minus(end, start)
     still = [lax.stop_gradient(point) for point in chain]
-    last = tuple(jnp.where(arrived[2], b, c) for b, c in zip(still[2], still[3], strict=True))
+    last = jnp.where(arrived[2], still[2][0], still[3][0]), jnp.where(arrived[2], still[2][1], still[3][1])
     length = jnp.hypot(*lax.stop_gradient(chord))
     exists = inside & ~arrived[1] & ~_cross_each_other((still[0], still[1]), (last, still[-1])) & (length > _NO_AREA)
     # The weight of a vertex vanishes where it leaves the texel: the corner is then at the other one.
