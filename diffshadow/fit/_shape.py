@@ -14,6 +14,7 @@ from .._types import HostArray
 from ..geometry import Mesh, split_in_four
 from ..settings.fit import widest_blur
 from ._large_steps import LargeSteps
+from ._regularizers import Regularizers
 from ._shape_program import Level, ShapeProgram
 from ._shape_steps import PHASES, FittedShape, ShapePhase, ShapeState, ShapeStep
 from .problems import ShapeProblem
@@ -175,6 +176,7 @@ class _Fit:
                 free = np.concatenate([free, free[ends].any(axis=1)])
         level = self.program.level(vertices, faces, free)
         large = LargeSteps(vertices, faces, level.free, phase.strength)
+        penalties = Regularizers(vertices, faces, phase.normal_consistency, phase.edge_length)
         if state.step == 0:
             u = large.u_of(vertices)
             state = state._replace(
@@ -186,7 +188,7 @@ class _Fit:
         while state.step < phase.steps:
             found, crossings = self.program.evaluate(level, present, state.lights, phase.blur, state.crossings)
             loss = float(found.loss)
-            state = self._stepped(state, level, large, found)
+            state = self._stepped(state, level, large, found, penalties(present)[1])
             state = state._replace(crossings=crossings, history=(*state.history, (state.phase, loss)))
             if on_step is not None:
                 step = ShapeStep(state.phase, state.step - 1, loss, self.program.images(found), state, present, faces)
@@ -209,11 +211,18 @@ class _Fit:
         best = {"best_vertices": present, "best_faces": faces, "best_lights": state.lights}
         return (state._replace(**best) if is_best else state), False
 
-    def _stepped(self, state: ShapeState, level: Level, large: LargeSteps, found: Evaluation) -> ShapeState:
+    def _stepped(
+        self,
+        state: ShapeState,
+        level: Level,
+        large: LargeSteps,
+        found: Evaluation,
+        by_penalties: Float[HostArray, "v 3"],
+    ) -> ShapeState:
         """One step of Adam with one scale for all vertices (Nicolet et al. 2021): their gradients keep their relative
         lengths. Each light has a scale of its own."""
         phase, step = self.phases[state.phase], state.step + 1
-        gradient = np.asarray(found.gradient, np.float64)[: len(level.start)]
+        gradient = np.asarray(found.gradient, np.float64)[: len(level.start)] + by_penalties
         g = large.gradient_of(self.program.mirrored_gradient(level, gradient))
         mean, square = _means(state.mean, state.square, g)
         falling = (_LAST_RATE + (1 - _LAST_RATE) * (1 + np.cos(np.pi * step / phase.steps)) / 2) / (1 - _DECAY**step)

@@ -23,6 +23,9 @@ class ShapePhase:
     - `blur`: standard deviation, in pixels, of the Gaussian under which images are compared.
     - `subdivisions`: how often each triangle is split in four before the phase.
     - `light_rate`: length of the first steps of lights that move, in degrees as the shape sees them. It falls likewise.
+    - `normal_consistency`, `edge_length`: weights of penalties on folds and on long edges, added to the mean square
+        error, for noisy images; 0 for none. Normals: the mean, over pairs of neighbouring faces, of 1 minus the cosine
+        between them. Lengths: the mean of squares, as a fraction of that at the start of the phase.
 
     **Raises** `ValueError` for a value that is not allowed.
     """
@@ -35,6 +38,8 @@ class ShapePhase:
     blur: float = PhaseSettings.blur
     subdivisions: int = PhaseSettings.subdivisions
     light_rate: float = PhaseSettings.light_rate
+    normal_consistency: float = PhaseSettings.normal_consistency
+    edge_length: float = PhaseSettings.edge_length
 
     def __post_init__(self):
         check_settings(self)

@@ -16,6 +16,7 @@ from diffshadow.fit import _shape as shapes
 from diffshadow.fit import _shape_program as programs
 from diffshadow.fit._large_steps import LargeSteps
 from diffshadow.fit._moving_lights import MovingLights
+from diffshadow.fit._regularizers import Regularizers
 from diffshadow.fit.problems import together
 from diffshadow.fit.problems._aligned import Receivers
 from diffshadow.fit.problems._shape import default_technique, sights
@@ -174,6 +175,38 @@ def test_large_steps_solve_their_equations_and_leave_pinned_vertices():
     assert change == pytest.approx(np.sum(large.gradient_of(gradient) * (moved - u)))
     plain = LargeSteps(vertices, faces, free, 0.0)
     np.testing.assert_array_equal(plain.gradient_of(gradient), gradient[free])
+
+
+def test_regularizers_match_differences_and_know_their_values():
+    mesh = bumpy_sphere()
+    vertices, faces = np.asarray(mesh.vertices, float), np.array(mesh.faces)
+    # Neighbours that are wound otherwise have the same angle between them.
+    faces[::3] = faces[::3, ::-1]
+    for weights in ((2.0, 0.0), (0.0, 3.0)):
+        penalty = Regularizers(vertices, faces, *weights)
+        _, slope = penalty(vertices)
+        way = np.random.default_rng(0).normal(size=vertices.shape)
+        difference = (penalty(vertices + 1e-6 * way)[0] - penalty(vertices - 1e-6 * way)[0]) / 2e-6
+        assert np.sum(slope * way) == pytest.approx(difference, rel=1e-6)
+        assert np.abs(slope.sum(axis=0)).max() < 1e-12
+    assert Regularizers(vertices, faces, 0.0, 3.0)(vertices)[0] == pytest.approx(3)
+    assert Regularizers(vertices, faces, 0.0, 3.0)(2 * vertices)[0] == pytest.approx(12)
+    box = geometry.library_mesh("box")
+    corners, sides, _ = geometry.weld(np.asarray(box.vertices, float), np.asarray(box.faces), 0)
+    # Of 18 edges, 12 lie between sides at right angles, and 6 across a side.
+    assert Regularizers(corners, sides, 1.0, 0.0)(corners)[0] == pytest.approx(12 / 18)
+
+
+def test_edges_that_cost_shrink_the_mesh(views, monkeypatch):
+    still = lambda *given: STUB(*given)._replace(gradient=np.zeros((2304, 3)))
+    monkeypatch.setattr(programs, "compiled", lambda function, given: still)
+    start, problem = sphere(), ShapeProblem(sphere(), views)
+    sizes = []
+    for weight in (0.0, 1.0):
+        found = fit_shape(problem, (ShapePhase(1.0, 0.02, 3, edge_length=weight),))
+        sizes.append(np.ptp(found.state.vertices) / np.ptp(np.asarray(start.vertices)))
+    assert sizes[0] == pytest.approx(1, abs=1e-6)
+    assert sizes[1] < 0.97
 
 
 def test_splitting_keeps_the_surface_and_the_number_of_holes():
