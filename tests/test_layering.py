@@ -24,7 +24,7 @@ OF_SETTINGS = {*sys.stdlib_module_names, "annotated_types"}
 FOLDERS = {
     "fit": (
         *("solvers", "problems", "_precision", "_phases", "_solve", "_run", "_profile", "_how", "_front", "_bounds"),
-        *("_fit", "_train", "_moving_lights", "_shape"),
+        *("_fit", "_train", "_moving_lights", "_shape_steps", "_shape_program", "_shape"),
     ),
     "config": ("sections", "whole", "framing", "reading", "building"),
     "study": ("files", "pages", "imports", "_drawn", "remarks", "runs", "sweeps", "advice", "_report"),

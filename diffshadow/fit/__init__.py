@@ -27,9 +27,10 @@ from ._parameters import with_parameters as with_parameters
 from ._precision import Precision
 from ._profile import Bound, End, Interval, Profile
 from ._run import Outcome, Start
-from ._shape import PHASES as SHAPE_PHASES
-from ._shape import FittedShape, ShapePhase, ShapeState, ShapeStep, fit_shape
 from ._shape import check_shape as check_shape
+from ._shape import fit_shape
+from ._shape_steps import PHASES as SHAPE_PHASES
+from ._shape_steps import FittedShape, ShapePhase, ShapeState, ShapeStep
 from ._train import Training, TrainingPhase, mean_square_error, train
 from .problems import AbstractProblem, PoseProblem, ShapeProblem, ShapeView, TechniqueProblem
 from .problems import cone_fraction as cone_fraction

@@ -5,6 +5,7 @@ from ._differences import mae, psnr, rmse
 from ._false_rates import false_light_rate, false_shadow_rate
 from ._flicker import flicker
 from ._flip import flip
+from ._intersections import count_self_intersections
 from ._penumbra import penumbra_width
 from ._shapes import chamfer_distance, intersection_over_union
 from ._ssim import ssim
@@ -14,6 +15,7 @@ __all__ = [
     "AliasingFigures",
     "ShadowErrors",
     "chamfer_distance",
+    "count_self_intersections",
     "false_light_rate",
     "false_shadow_rate",
     "flicker",

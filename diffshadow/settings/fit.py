@@ -154,6 +154,12 @@ class ShapePhase(Settings):
         Unit("degrees"),
         "length of the first steps of lights that move, as the shape sees them; it falls to a twentieth",
     ] = 0.3
+    normal_consistency: Annotated[
+        float, Limits(0, 1e6), "weight of the mean of 1 - cos of the angles between neighbouring faces' normals"
+    ] = 0.0
+    edge_length: Annotated[
+        float, Limits(0, 1e6), "weight of the mean square of edges' lengths, as a fraction of that before the phase"
+    ] = 0.0
 
 
 PHASES = (

@@ -13,8 +13,10 @@ import pytest
 from diffshadow import geometry
 from diffshadow.fit import ShapePhase, ShapeProblem, ShapeView, check_shape, fit_shape
 from diffshadow.fit import _shape as shapes
+from diffshadow.fit import _shape_program as programs
 from diffshadow.fit._large_steps import LargeSteps
 from diffshadow.fit._moving_lights import MovingLights
+from diffshadow.fit._regularizers import Regularizers
 from diffshadow.fit.problems import together
 from diffshadow.fit.problems._aligned import Receivers
 from diffshadow.fit.problems._shape import default_technique, sights
@@ -34,12 +36,12 @@ def sphere(radius=0.5, subdivisions=2):
     return Mesh(np.asarray(mesh.vertices) - [0, radius, 0], mesh.faces)
 
 
-def bumpy_sphere():
+def bumpy_sphere(subdivisions=2):
     """A sphere with bumps, turned so that no two outlines coincide."""
-    points = np.asarray(sphere(0.6).vertices, float)
+    points = np.asarray(sphere(0.6, subdivisions).vertices, float)
     points = points @ np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
     points = points * (1 + 0.15 * np.sin(4 * points[:, :1] / 0.6 + 1) * np.cos(5 * points[:, 1:2] / 0.6))
-    return Mesh(points, sphere().faces)
+    return Mesh(points, sphere(0.6, subdivisions).faces)
 
 
 def wall(way, away=2.0, size=2.0, side=SIDE):
@@ -84,7 +86,7 @@ def test_shadows_come_close_to_their_targets_and_pinned_vertices_stay(views):
     after, before = np.asarray(found.mesh.vertices), np.asarray(start.vertices)
     np.testing.assert_array_equal(after[~free], before[~free])
     assert np.abs(after[free] - before[free]).max() > 0.1
-    partner = shapes.mirror_partners(before.astype(float), (1.0, 0.0, 0.0, 0.0))
+    partner = programs.mirror_partners(before.astype(float), (1.0, 0.0, 0.0, 0.0))
     np.testing.assert_allclose(after[partner], after * [-1, 1, 1], atol=1e-6)
 
 
@@ -106,7 +108,7 @@ def test_a_stopped_fit_goes_on_to_the_same_bits(views):
 
 def test_another_mesh_and_subdivisions_of_one_padded_size_share_a_program(views, monkeypatch):
     asked = []
-    monkeypatch.setattr(shapes, "compiled", lambda function, given: asked.append(kinds(given)) or STUB)
+    monkeypatch.setattr(programs, "compiled", lambda function, given: asked.append(kinds(given)) or STUB)
     coarse = ShapePhase(5.0, 0.05, 1), ShapePhase(5.0, 0.05, 1, subdivisions=1)
     fit_shape(ShapeProblem(sphere(subdivisions=2), views), coarse)
     fit_shape(ShapeProblem(sphere(0.4, subdivisions=3), views), PHASES[:1])
@@ -124,12 +126,12 @@ def STUB(vertices, faces, edges, groups, receivers, poses, technique, blur, cros
     """An evaluation that pulls all vertices inwards."""
     images: Any = [np.zeros(group.reference.shape) for group in groups]
     found: Any = np.sum(np.square(vertices)), 2 * np.asarray(vertices), poses, images, np.asarray(9)
-    return shapes.Evaluation(*found)
+    return programs.Evaluation(*found)
 
 
 def test_lights_that_move_descend_and_others_stay(views, monkeypatch):
     """The stub's gradient by a light's numbers is these numbers themselves, so that an azimuth of 90 falls."""
-    monkeypatch.setattr(shapes, "compiled", lambda function, given: STUB)
+    monkeypatch.setattr(programs, "compiled", lambda function, given: STUB)
     moving = [views[0], dataclasses.replace(views[1], moves=True)]
     found = fit_shape(ShapeProblem(sphere(), moving), (ShapePhase(5.0, 0.05, 4, light_rate=2.0),))
     poses: Any = [light.pose() for light in found.lights]
@@ -149,7 +151,7 @@ def test_memory_for_crossings_doubles_when_it_is_full_and_compiles_before(views,
         asked.append(given[-1])
         return lambda *given: STUB(*given)._replace(crossings=np.asarray(next(needed)))
 
-    monkeypatch.setattr(shapes, "compiled", compiled)
+    monkeypatch.setattr(programs, "compiled", compiled)
     monkeypatch.setattr(shapes, "crossings_for", lambda resolution: 256)
     found = fit_shape(ShapeProblem(sphere(), views), (ShapePhase(5.0, 0.05, 9),))
     assert asked[0] == 256
@@ -173,6 +175,38 @@ def test_large_steps_solve_their_equations_and_leave_pinned_vertices():
     assert change == pytest.approx(np.sum(large.gradient_of(gradient) * (moved - u)))
     plain = LargeSteps(vertices, faces, free, 0.0)
     np.testing.assert_array_equal(plain.gradient_of(gradient), gradient[free])
+
+
+def test_regularizers_match_differences_and_know_their_values():
+    mesh = bumpy_sphere()
+    vertices, faces = np.asarray(mesh.vertices, float), np.array(mesh.faces)
+    # Neighbours that are wound otherwise have the same angle between them.
+    faces[::3] = faces[::3, ::-1]
+    for weights in ((2.0, 0.0), (0.0, 3.0)):
+        penalty = Regularizers(vertices, faces, *weights)
+        _, slope = penalty(vertices)
+        way = np.random.default_rng(0).normal(size=vertices.shape)
+        difference = (penalty(vertices + 1e-6 * way)[0] - penalty(vertices - 1e-6 * way)[0]) / 2e-6
+        assert np.sum(slope * way) == pytest.approx(difference, rel=1e-6)
+        assert np.abs(slope.sum(axis=0)).max() < 1e-12
+    assert Regularizers(vertices, faces, 0.0, 3.0)(vertices)[0] == pytest.approx(3)
+    assert Regularizers(vertices, faces, 0.0, 3.0)(2 * vertices)[0] == pytest.approx(12)
+    box = geometry.library_mesh("box")
+    corners, sides, _ = geometry.weld(np.asarray(box.vertices, float), np.asarray(box.faces), 0)
+    # Of 18 edges, 12 lie between sides at right angles, and 6 across a side.
+    assert Regularizers(corners, sides, 1.0, 0.0)(corners)[0] == pytest.approx(12 / 18)
+
+
+def test_edges_that_cost_shrink_the_mesh(views, monkeypatch):
+    still = lambda *given: STUB(*given)._replace(gradient=np.zeros((2304, 3)))
+    monkeypatch.setattr(programs, "compiled", lambda function, given: still)
+    start, problem = sphere(), ShapeProblem(sphere(), views)
+    sizes = []
+    for weight in (0.0, 1.0):
+        found = fit_shape(problem, (ShapePhase(1.0, 0.02, 3, edge_length=weight),))
+        sizes.append(np.ptp(found.state.vertices) / np.ptp(np.asarray(start.vertices)))
+    assert sizes[0] == pytest.approx(1, abs=1e-6)
+    assert sizes[1] < 0.97
 
 
 def test_splitting_keeps_the_surface_and_the_number_of_holes():
@@ -283,11 +317,11 @@ def test_pixels_that_are_texels_are_seen_as_by_a_look_up(views):
     points = np.asarray(problem.mesh.vertices, float)
     found = []
     for is_direct in (True, False):
-        fit: Any = shapes._Fit(problem, PHASES)
+        fit: Any = programs.ShapeProgram(problem)
         assert all(each is not None for each in fit.receivers)
         fit.receivers = fit.receivers if is_direct else [None] * len(fit.receivers)
-        level = fit._level(points, np.asarray(problem.mesh.faces), np.ones(len(points), bool))
-        found.append(fit._program(level, points, fit.lights.start, 1.0, 1024))
+        level = fit.level(points, np.asarray(problem.mesh.faces), np.ones(len(points), bool))
+        found.append(fit.run(level, points, fit.lights.start, 1.0, 1024))
     direct, looked_up = found
     assert float(direct.loss) == pytest.approx(float(looked_up.loss), rel=1e-5)
     for one, other in zip(direct.images, looked_up.images, strict=True):
@@ -298,16 +332,19 @@ def test_pixels_that_are_texels_are_seen_as_by_a_look_up(views):
 
 @pytest.mark.exhaustive
 def test_the_whole_gradient_matches_differences():
-    """In double precision, of a bumpy sphere that is turned: mirrored outlines would coincide, which is a kink."""
+    """In double precision, of a bumpy sphere that is turned: mirrored outlines would coincide, which is a kink.
+
+    Differences are over a thousandth of a texel. Over a hundredth, edges appear and vanish in the outline.
+    """
     with jax.enable_x64(True):
-        mesh = bumpy_sphere()
+        mesh = bumpy_sphere(subdivisions=3)
         points, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces)
-        seen = [wall(way, side=48) for way in ((0.0, 0.0, -1.0), (-1.0, 0.0, 0.0))]
-        views = [ShapeView(*each, ellipse(0.5, 0.45, 48)) for each in seen]
-        fit = shapes._Fit(ShapeProblem(mesh, views), PHASES)
-        level = fit._level(points, faces, np.ones(len(points), bool))
-        at = lambda points: fit._program(level, points, fit.lights.start, 0.0, 1024)
-        found, step = np.asarray(at(points).gradient)[: len(points)], 2e-4
+        seen = [wall(way, side=96) for way in ((0.0, 0.0, -1.0), (-1.0, 0.0, 0.0))]
+        views = [ShapeView(*each, ellipse(0.5, 0.45, 96)) for each in seen]
+        fit = programs.ShapeProgram(ShapeProblem(mesh, views))
+        level = fit.level(points, faces, np.ones(len(points), bool))
+        at = lambda points: fit.run(level, points, fit.lights.start, 0.0, 2048)
+        found, step = np.asarray(at(points).gradient)[: len(points)], 1e-3 * 2 / 96
         difference = np.zeros_like(found)
         for vertex, axis in zip(*np.nonzero(found), strict=True):
             aside = np.zeros_like(points)
@@ -315,9 +352,9 @@ def test_the_whole_gradient_matches_differences():
             difference[vertex, axis] = (at(points + aside).loss - at(points - aside).loss) / (2 * step)
     moves = np.abs(found).sum(axis=1) > 0
     error = np.linalg.norm(difference - found, axis=1)[moves] / np.linalg.norm(difference, axis=1)[moves]
-    assert moves.sum() > 30
-    assert np.quantile(error, 0.9) < 2e-3
-    assert np.linalg.norm(difference - found) < 0.03 * np.linalg.norm(difference)
+    assert moves.sum() > 100
+    assert np.quantile(error, 0.95) < 1e-3
+    assert np.linalg.norm(difference - found) < 1e-3 * np.linalg.norm(difference)
 
 
 @pytest.mark.exhaustive
@@ -330,9 +367,9 @@ def test_the_gradient_by_lights_matches_differences():
         spot = SpotLight((3.0, 0.1, 0.2), (-1.0, 0.02, 0.03), outer_angle=20, near=1.0, far=9.0)
         views = [ShapeView(*each, ellipse(0.5, 0.45, 48), moves=True) for each in (sun, (spot, lamp[1]))]
         # Of texels so fine that a lamp's map may turn without a change to the shadow.
-        fit = shapes._Fit(ShapeProblem(mesh, views, technique=default_technique((160, 160))), PHASES)
-        level, start = fit._level(points, np.asarray(mesh.faces), np.ones(len(points), bool)), fit.lights.start
-        at = lambda degrees: fit._program(level, points, fit.lights.moved(start, degrees), 0.0, 4096)
+        fit = programs.ShapeProgram(ShapeProblem(mesh, views, technique=default_technique((160, 160))))
+        level, start = fit.level(points, np.asarray(mesh.faces), np.ones(len(points), bool)), fit.lights.start
+        at = lambda degrees: fit.run(level, points, fit.lights.moved(start, degrees), 0.0, 4096)
         by_lights = at(np.zeros_like(start)).by_lights
         assert by_lights is not None
         found, step = fit.lights.in_degrees(by_lights), 2e-3

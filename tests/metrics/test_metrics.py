@@ -9,6 +9,7 @@ import pytest
 from diffshadow.metrics import (
     ShadowErrors,
     chamfer_distance,
+    count_self_intersections,
     false_light_rate,
     false_shadow_rate,
     flicker,
@@ -185,6 +186,28 @@ def test_overlap_of_shadows_counts_dark_pixels():
     assert intersection_over_union(edge(lit_from=4), edge(lit_from=5)) == 0.8
     assert intersection_over_union(edge(lit_from=5), 1 - edge(lit_from=5)) == 0
     assert intersection_over_union(np.ones((2, 2)), np.ones((2, 2))) == 1
+
+
+def test_self_intersections_are_pairs_of_faces_that_pass_through_each_other():
+    level = [[-1.0, -1, 0], [1, -1, 0], [0, 1, 0]]
+    through, above, beside = (
+        [[x, 0, z], [x, 0.2, z + 1], [x, -0.2, z + 1]] for x, z in ((0, -0.5), (0, 0.5), (9, -0.5))
+    )
+    pair = np.arange(6).reshape(2, 3)
+    for other, count in ((through, 1), (above, 0), (beside, 0), (level, 0)):
+        assert count_self_intersections(np.array(level + other), pair) == count
+        assert count_self_intersections(np.array(other + level), pair) == count
+    # Faces with a common vertex do not count.
+    assert count_self_intersections(np.array(level + through[1:]), np.array([[0, 1, 2], [0, 3, 4]])) == 0
+    # Of all pairs in a soup of large and small faces, none is overlooked.
+    rng = np.random.default_rng(0)
+    soup = (
+        rng.uniform(-1, 1, (60, 1, 3))
+        + rng.normal(size=(60, 3, 3)) * np.where(np.arange(60) % 7, 0.4, 1.5)[:, None, None]
+    )
+    alone = [count_self_intersections(soup[[i, j]].reshape(6, 3), pair) for i in range(60) for j in range(i)]
+    assert sum(alone) > 20
+    assert count_self_intersections(soup.reshape(-1, 3), np.arange(180).reshape(60, 3)) == sum(alone)
 
 
 def test_chamfer_distance_of_parallel_squares_is_their_distance():

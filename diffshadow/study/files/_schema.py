@@ -319,13 +319,17 @@ class _MovedLight(_Part):
 
 
 class _ShapeMetrics(_Part):
-    """`chamfer`, `size`: world units, if the shape that casts the targets is known."""
+    """`chamfer`, `size`: world units, if the shape that casts the targets is known.
+
+    `self_intersections`: pairs of faces.
+    """
 
     initial_loss: Annotated[float, Field(ge=0)]
     loss: Annotated[float, Field(ge=0)]
     lights: list[_Shadow] = Field(min_length=1)
     unseen: list[_UnseenShadow] = []
     moved: list[_MovedLight] = []
+    self_intersections: Annotated[int, Field(ge=0)] = 0
     chamfer: Annotated[float, Field(ge=0)] | None = None
     size: Annotated[float, Field(gt=0)] | None = None
 

@@ -70,6 +70,8 @@ def _summary(result: Mapping[str, Any]) -> str:
         text += f", and to {mean(measured['unseen'], 'rays'):.1%} under lights that the fit has not seen"
     if measured.get("chamfer") is not None:
         text += f"; the shape is {measured['chamfer'] / measured['size']:.2%} of its size from the truth on average"
+    if pairs := measured.get("self_intersections"):
+        text += f"; the surface intersects itself, in {pairs} pairs of faces"
     return f"{text}."
 
 

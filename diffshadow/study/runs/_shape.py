@@ -149,6 +149,8 @@ def _measured(fitted: FittedShapeRun) -> dict[str, Any]:
         )
     ]
     found: dict[str, Any] = {"initial_loss": result.initial_loss, "loss": result.loss, "lights": lights}
+    mesh = result.mesh
+    found["self_intersections"] = metrics.count_self_intersections(np.asarray(mesh.vertices), np.asarray(mesh.faces))
     if fitted.unseen:
         pairs = zip(plan.unseen, fitted.unseen, strict=True)
         found["unseen"] = [{"light": screen.key, "rays": overlap(*both)} for screen, both in pairs]
@@ -235,6 +237,8 @@ def _print(console: Console, name: str, measured: dict[str, Any], seconds: float
     if "chamfer" in measured:
         share = measured["chamfer"] / measured["size"]
         lines.append(f"Chamfer distance {measured['chamfer']:.4g} world units, {share:.2%} of the shape's size")
+    if pairs := measured["self_intersections"]:
+        lines.append(f"the surface intersects itself, in {pairs} pairs of faces")
     for light in measured.get("moved", ()):
         lines.append(
             f"{light['light']} is {light['after']:.3f}° from its place in the scene, {light['before']:.3f}° before"

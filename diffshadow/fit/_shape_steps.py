@@ -1,0 +1,121 @@
+"""The phases of a fit of a shape, its steps, and its result."""
+
+import dataclasses
+from typing import ClassVar, NamedTuple
+
+from jaxtyping import Bool, Float, Int
+
+from .._checks import check_settings
+from .._types import HostArray
+from ..geometry import AbstractLight, Mesh
+from ..settings.fit import PHASES as DEFAULT_PHASES
+from ..settings.fit import ShapePhase as PhaseSettings
+
+
+@dataclasses.dataclass(frozen=True)
+class ShapePhase:
+    """A phase of a fit of a shape.
+
+    - `strength`: λ, how strongly the steps of neighbouring vertices are smoothed. It is counted in edges: where
+        triangles are split in four, four times as much smooths as far.
+    - `rate`: length of the first steps, as a fraction of the longest side of the start. It falls along half a cosine.
+    - `steps`: how many.
+    - `blur`: standard deviation, in pixels, of the Gaussian under which images are compared.
+    - `subdivisions`: how often each triangle is split in four before the phase.
+    - `light_rate`: length of the first steps of lights that move, in degrees as the shape sees them. It falls likewise.
+    - `normal_consistency`, `edge_length`: weights of penalties on folds and on long edges, added to the mean square
+        error, for noisy images; 0 for none. Normals: the mean, over pairs of neighbouring faces, of 1 minus the cosine
+        between them. Lengths: the mean of squares, as a fraction of that at the start of the phase.
+
+    **Raises** `ValueError` for a value that is not allowed.
+    """
+
+    settings: ClassVar = PhaseSettings
+
+    strength: float = PhaseSettings.strength
+    rate: float = PhaseSettings.rate
+    steps: int = PhaseSettings.steps
+    blur: float = PhaseSettings.blur
+    subdivisions: int = PhaseSettings.subdivisions
+    light_rate: float = PhaseSettings.light_rate
+    normal_consistency: float = PhaseSettings.normal_consistency
+    edge_length: float = PhaseSettings.edge_length
+
+    def __post_init__(self):
+        check_settings(self)
+
+
+PHASES = tuple(ShapePhase(**phase) for phase in DEFAULT_PHASES)
+"""Phases for a start of about 2,500 vertices."""
+
+
+class ShapeState(NamedTuple):
+    """Where a fit stands before a step: all that it needs to go on, on a CPU to the same bits. Arrays never change.
+
+    - `phase`, `step`: of the next step, from 0; `crossings`: for how many there is memory.
+    - `vertices`, `faces`, `free`: of the mesh at the start of the phase; `u`, `mean`, `square`: of Adam, (n, 3).
+    - `best_vertices`, `best_faces`: of the best end of a phase so far, or of the start.
+    - `lights`, `light_mean`, `light_square`: the numbers of all lights' poses, and of Adam; empty if none moves;
+        `best_lights`: those of the best end of a phase.
+    - `losses`: under the judge, of the start and of the ends of phases; `history`: (s, 2), phase and loss of each step.
+    """
+
+    phase: int
+    step: int
+    crossings: int
+    vertices: Float[HostArray, "v 3"]
+    faces: Int[HostArray, "f 3"]
+    free: Bool[HostArray, " v"]
+    u: Float[HostArray, "n 3"]
+    mean: Float[HostArray, "n 3"]
+    square: Float[HostArray, "n 3"]
+    best_vertices: Float[HostArray, "b 3"]
+    best_faces: Int[HostArray, "c 3"]
+    lights: Float[HostArray, " l"]
+    light_mean: Float[HostArray, " l"]
+    light_square: Float[HostArray, " l"]
+    best_lights: Float[HostArray, " l"]
+    losses: tuple[float, ...]
+    history: tuple[tuple[int, float], ...]
+
+
+class ShapeStep(NamedTuple):
+    """A step of a fit of a shape.
+
+    - `phase`, `step`: from 0; `loss`: the mean square error before the step, under the phase's blur.
+    - `images`: (h, w) of each view, its visibility before the step.
+    - `state`: from where the fit can go on after the step.
+    - `vertices`, `faces`: of the mesh before the step.
+    """
+
+    phase: int
+    step: int
+    loss: float
+    images: list[Float[HostArray, "h w"]]
+    state: ShapeState
+    vertices: Float[HostArray, "v 3"]
+    faces: Int[HostArray, "f 3"]
+
+
+class FittedShape(NamedTuple):
+    """What a fit of a shape found.
+
+    - `mesh`: the best end of a phase under the judge, or the start if that is best.
+    - `lights`: of each view, as they were then.
+    - `initial_loss`, `loss`: the judge's, before and after: the mean square error without a blur.
+    - `losses`: the judge's at the end of each phase; `chosen`: which of them is the result, -1 for the start.
+    - `history`: phase and loss of each step, under the phase's blur.
+    - `initial_images`, `images`: (h, w) of each view, its visibility at the start and at the end.
+    - `state`: where the fit ended or was stopped.
+    """
+
+    mesh: Mesh
+    lights: list[AbstractLight]
+    initial_loss: float
+    loss: float
+    losses: list[float]
+    chosen: int
+    history: list[tuple[int, float]]
+    initial_images: list[Float[HostArray, "h w"]]
+    images: list[Float[HostArray, "h w"]]
+    state: ShapeState
