@@ -179,6 +179,9 @@ def test_creases_are_where_colours_differ():
     assert find_creases(box, edges).sum() == 12
     ball = library_mesh("sphere")
     assert not find_creases(ball, Edges.of(ball)).any()
+    card = quad((0, 0, 0), (1, 0, 0), (0, 1, 0))
+    two_colours = eqx.tree_at(lambda mesh: mesh.albedo, card, jnp.array([[0.2] * 3, [0.9] * 3]))
+    assert [find_creases(mesh, Edges.of(mesh)).sum() for mesh in (card, two_colours)] == [0, 1]
 
 
 @pytest.mark.exhaustive
