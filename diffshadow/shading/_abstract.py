@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from .._checks import CheckedModule
 from .._types import VectorMap, Visibility
 from ..geometry import AbstractCamera, AbstractLight
-from ..raster import Surface
+from ..raster import AntialiasedSurface, Surface
 
 Lights = AbstractLight | Sequence[AbstractLight]
 Visibilities = Float[Array, "*l h w"] | Sequence[Visibility]
@@ -32,6 +32,23 @@ class AbstractShading(CheckedModule):
 
         **Raises** `ValueError` unless there are as many visibilities as lights.
         """
+
+    def antialiased(
+        self, seen: AntialiasedSurface, visibility: Visibilities, light: Lights, camera: AbstractCamera
+    ) -> VectorMap:
+        """The image with the mean over each pixel along outlines and creases.
+
+        **Arguments:** as for the image of a surface. `visibility` is that of all points of `seen.surface`, (H, w), or
+        of pixel centres alone, (h, w), which `seen.extend` takes further.
+
+        **Returns:** (h, w, 3), linear. Differentiable by what moves outlines, too.
+
+        **Raises** `ValueError` unless there are as many visibilities as lights.
+        """
+        height = seen.resolution[0]
+        pairs = each_light(visibility, light)
+        everywhere = [seen.extend(image) if image.shape[0] == height else image for image, _ in pairs]
+        return seen.resolve(self(seen.surface, everywhere, [light for _, light in pairs], camera))
 
 
 def each_light(visibility: Visibilities, light: Lights) -> list[tuple[Visibility, AbstractLight]]:

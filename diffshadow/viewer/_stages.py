@@ -6,6 +6,7 @@
 | surface | meshes, camera, size |
 | state, such as a map | meshes, light, technique; the surface too if its layout is fitted to the camera |
 | visibility | surface, state, the technique's numbers |
+| antialiased surface, if `scene.camera.antialias` asks for it | meshes, camera, size |
 | picture | visibility, shading, and the page's view |
 """
 
@@ -62,6 +63,7 @@ class Stages:
     def __init__(self):
         self.meshes, self.camera, self.lights, self.shading = Stage(), Stage(8), Stage(8), Stage()
         self.surface, self.state, self.visibility, self.covered = Stage(), Stage(), Stage(8), Stage()
+        self.antialiased = Stage()
 
 
 class Frame:
@@ -159,7 +161,13 @@ class Frame:
     def shaded(self) -> Picture:
         """The picture that a render stores, lit by all lights."""
         visibility = [self.visibility(light) for light in range(len(self.lights))]
-        return np.asarray(_shaded(self.shading, self.surface, visibility, self.lights, self.camera))
+        surface = self._antialiased if self.config.scene.antialiases else self.surface
+        return np.asarray(_shaded(self.shading, surface, visibility, self.lights, self.camera))
+
+    @property
+    def _antialiased(self) -> raster.AntialiasedSurface:
+        draw = lambda: raster.draw_antialiased(geometry.merge(self.staged.meshes), self.camera)
+        return self.stages.antialiased(self._surface_key(self.size), draw)
 
     def from_light(self) -> Picture:
         """What the shown light sees, shaded with its shadow: all that is dark there is false shadow."""
@@ -195,11 +203,16 @@ class Frame:
 
 @eqx.filter_jit
 def _shaded(
-    shading: Any, surface: raster.Surface, visibility: Any, lights: Any, camera: geometry.AbstractCamera
+    shading: Any,
+    surface: raster.Surface | raster.AntialiasedSurface,
+    visibility: Any,
+    lights: Any,
+    camera: geometry.AbstractCamera,
 ) -> UInt8[Array, "h w 3"]:
     """The shaded picture in sRGB (IEC 61966-2-1), within 1/255: its power of 1/2.4 by three square roots, in two thirds
     of the time."""
-    linear = jnp.clip(shading(surface, visibility, lights, camera), 0, 1)
+    draw = shading.antialiased if isinstance(surface, raster.AntialiasedSurface) else shading
+    linear = jnp.clip(draw(surface, visibility, lights, camera), 0, 1)
     root = jnp.sqrt(linear)
     fourth = jnp.sqrt(root)
     curve = 0.585122381 * root + 0.783140355 * fourth - 0.368262736 * jnp.sqrt(fourth)

@@ -132,6 +132,7 @@ def test_every_number_that_can_be_fitted_has_a_slider_with_its_unit_and_the_boun
         ),
         pytest.param((f"scene.lights=[{SPOT}, {POINT}]", "scene.light=null"), marks=pytest.mark.exhaustive),
         pytest.param(("shading.type=modulated",), marks=pytest.mark.exhaustive),
+        pytest.param(("scene.camera.antialias=true",), marks=pytest.mark.exhaustive),
     ],
 )
 def test_a_render_of_the_saved_settings_draws_what_the_page_shows(overrides, tmp_path):

@@ -1,7 +1,6 @@
 """Shaded pictures of a run, and their perceptual error."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -40,8 +39,8 @@ def shade_lit(
     shading = Phong(intensity=INTENSITY / len(lights)) if config is None else build_shading(config)
     scene = lit[0]
     if config is not None and config.scene.antialiases:
-        antialiased = raster.draw_antialiased(scene.mesh, scene.camera)
-        linear = _shaded_antialiased(shading, antialiased, seen, lights, scene.camera)
+        drawn = raster.draw_antialiased(scene.mesh, scene.camera)
+        linear = _shaded_antialiased(shading, drawn, seen, lights, scene.camera)
     else:
         linear = _shaded(shading, surface, seen, lights, scene.camera)
     return _to_srgb(np.clip(np.asarray(linear, dtype=np.float64), 0, 1))
@@ -61,11 +60,7 @@ def perceptual_error(
 
 
 _shaded = eqx.filter_jit(lambda shading, *args: shading(*args))
-
-
-@eqx.filter_jit
-def _shaded_antialiased(shading: Any, seen: raster.AntialiasedSurface, visibility: Any, *rest: Any) -> Any:
-    return seen.resolve(shading(seen.surface, [seen.extend(image) for image in visibility], *rest))
+_shaded_antialiased = eqx.filter_jit(lambda shading, *args: shading.antialiased(*args))
 
 
 def _to_srgb(linear: Float[HostArray, "h w 3"]) -> Float[HostArray, "h w 3"]:
