@@ -14,13 +14,14 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._checks import check_instance
 from .._padding import padded_to, round_up_to_power_of_two
-from .._types import ClipVertices, FaceMap, Resolution, Vec3
+from .._types import ClipVertices, FaceMap, Faces, Resolution, Vec3
 from ..geometry import AbstractCamera, Edges, Mesh, MeshLike, View, as_mesh
 from ..settings import maps
 from ..settings.maps import Cull
 from ._boundaries import Boundaries, Pieces, find_creases
 from ._corners import rasterize_with_corners
 from ._interpolate import Points
+from ._plane_crossings import mixed_pixels, plane_crossings
 from ._rasterize import NO_FACE
 from ._sides import Sides, adjoining
 from ._surface import Surface, surface_at_centres, surface_at_points
@@ -30,12 +31,14 @@ class AntialiasPlan(eqx.Module):
     """What `draw_antialiased` must know of a mesh and a view before it draws inside `jax.jit`.
 
     - `edges`: the mesh's; `creases`: (n,), which of these are creases.
-    - `pieces`: for how many pieces of edges within pixels there is memory.
+    - `pieces`: for how many pieces of edges within pixels there is memory; `mixed`: for how many pixels that see two
+        parts of the mesh, which may cross each other.
     """
 
     edges: Edges
     creases: Bool[Array, " n"]
     pieces: int = eqx.field(static=True)
+    mixed: int = eqx.field(static=True)
 
 
 class AntialiasedSurface(eqx.Module):
@@ -102,14 +105,26 @@ def plan_antialiasing(
     mesh = mesh.padded()
     edges = edges.padded(mesh.faces.shape[0])
     creases = jnp.asarray(padded_to(creases, edges.vertices.shape[0]))
-    count = int(_count(mesh, camera, edges, creases, cull))
-    return AntialiasPlan(edges, creases, round_up_to_power_of_two(int(margin * count)))
+    clip = camera.view().clip_vertices(mesh.vertices)
+    centres, corners = rasterize_with_corners(clip, mesh.faces, camera.resolution, cull=cull)
+    needed = _count(clip, mesh.faces, edges, creases, cull, centres.face, corners.face)
+    return AntialiasPlan(edges, creases, *(round_up_to_power_of_two(int(margin * int(count))) for count in needed))
 
 
 @eqx.filter_jit
-def _count(mesh: Mesh, camera: AbstractCamera, edges: Edges, creases: Array, cull: Cull) -> Int[Array, ""]:
-    clip = camera.view().clip_vertices(mesh.vertices)
-    return Boundaries.of(clip, mesh.faces, edges, creases, cull, camera.resolution).count
+def _count(
+    clip: ClipVertices,
+    faces: Faces,
+    edges: Edges,
+    creases: Array,
+    cull: Cull,
+    centres: FaceMap,
+    corners: Int[Array, "H W"],
+) -> tuple[Int[Array, ""], Int[Array, ""]]:
+    """How many pieces of edges there are, and pixels that see two parts of the mesh."""
+    height, width = centres.shape
+    pieces = Boundaries.of(clip, faces, edges, creases, cull, (height, width)).count
+    return pieces, jnp.sum(mixed_pixels(centres, corners, edges.component))
 
 
 def draw_antialiased(
@@ -143,12 +158,12 @@ def draw_antialiased(
     view, resolution = camera.view(), camera.resolution
     clip = view.clip_vertices(mesh.vertices)
     centres, corners = rasterize_with_corners(clip, mesh.faces, resolution, cull=cull)
-    drawn, count = _antialiased(mesh, camera.eye, view, centres.face, corners.face, clip, plan, cull)
+    drawn, pieces, mixed = _antialiased(mesh, camera.eye, view, centres.face, corners.face, clip, plan, cull)
     return eqx.error_if(
         drawn,
-        count > plan.pieces,
-        f"the picture has memory for {plan.pieces} pieces of outlines and creases, and there are more; expected "
-        "memory for all: pass a plan with a greater margin",
+        (pieces > plan.pieces) | (mixed > plan.mixed),
+        f"the picture has memory for {plan.pieces} pieces of outlines and creases and for {plan.mixed} pixels that see "
+        "two parts of the mesh, and there are more; expected memory for all: pass a plan with a greater margin",
     )
 
 
@@ -162,11 +177,13 @@ def _antialiased(
     clip: ClipVertices,
     plan: AntialiasPlan,
     cull: Cull,
-) -> tuple[AntialiasedSurface, Int[Array, ""]]:
+) -> tuple[AntialiasedSurface, Int[Array, ""], Int[Array, ""]]:
     height, width = centres.shape
-    found = Boundaries.of(clip, mesh.faces, plan.edges, plan.creases, cull, (height, width))
+    edges = Boundaries.of(clip, mesh.faces, plan.edges, plan.creases, cull, (height, width))
+    component = plan.edges.component
+    found = edges.with_crossings(plane_crossings(centres, corners, clip, mesh.faces, component, plan.mixed))
     behind = lax.stop_gradient(adjoining(view, found.segments.depth[:, 0], (height, width)))
-    pieces = Pieces.of(found, (height, width), plan.pieces, behind)
+    pieces = Pieces.of(found, (height, width), plan.pieces + max(plan.mixed, 1), behind)
     sides = lax.stop_gradient(Sides.of(pieces, found, view, clip, mesh.faces, plan.edges, centres, corners))
     # Both sides, in whole rows.
     count = pieces.pixel.shape[0]
@@ -175,9 +192,10 @@ def _antialiased(
     ).reshape(-1, width)
     at = pieces.nearest * (2 / np.array([width, height])) - 1
     points = Points(*(in_rows([at[:, k]] * 2, 0) for k in range(2)))
-    others = surface_at_points(mesh, eye, view, in_rows([sides.left, sides.right], NO_FACE), clip, points)
+    beside = surface_at_points(mesh, eye, view, in_rows([sides.left, sides.right], NO_FACE), clip, points)
     surface = jax.tree.map(
-        lambda *parts: jnp.concatenate(parts), surface_at_centres(mesh, eye, view, centres, clip), others
+        lambda *parts: jnp.concatenate(parts), surface_at_centres(mesh, eye, view, centres, clip), beside
     )
+    mixed = jnp.sum(mixed_pixels(centres, corners, component))
     area = jnp.where(sides.in_sight, pieces.beyond + sides.correction, 0)
-    return AntialiasedSurface(surface, pieces.pixel, area, (height, width)), found.count
+    return AntialiasedSurface(surface, pieces.pixel, area, (height, width)), edges.count, mixed

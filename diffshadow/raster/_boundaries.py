@@ -1,13 +1,14 @@
 """Lines of a picture along which its colours jump: edges of meshes in the window, cut at the sides of pixels.
 
 A colour jumps along silhouettes, where one surface hides another, and along creases, where the normal or the albedo
-jumps between two faces that are both seen. Where two meshes cross each other, there is no edge; `_crossings.py` finds
-these lines.
+jumps between two faces that are both seen. Where two meshes cross each other, there is no edge; `_plane_crossings.py`
+finds these lines.
 """
 
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -19,6 +20,7 @@ from ..geometry import NO_NEIGHBOUR, Edges, Mesh, share_vertices
 from ..settings.maps import Cull
 from ._bins import FACING
 from ._items import Items
+from ._plane_crossings import PlaneCrossings
 from ._segments import Segments
 from ._silhouettes import silhouettes_by_adjacency
 
@@ -35,13 +37,15 @@ class Boundaries(eqx.Module):
 
     - `segments`: directed, (n,) each.
     - `left`: (n, 2), the one or two faces to the left; `NO_NEIGHBOUR` for none.
-    - `right`: (n,), the face to the right of a crease; `NO_NEIGHBOUR` at a silhouette, whose right side is whatever
-        lies behind.
+    - `right`: (n,), the face to the right of a crease or crossing; `NO_NEIGHBOUR` at a silhouette, whose right side is
+        whatever lies behind.
+    - `crosses`: (n,), whether meshes cross each other there.
     """
 
     segments: Segments
     left: Int[Array, "n 2"]
     right: Int[Array, " n"]
+    crosses: Bool[Array, " n"]
 
     @classmethod
     def of(
@@ -63,7 +67,22 @@ class Boundaries(eqx.Module):
             Segments.of(clip[ends], is_silhouette | is_crease, shape),
             left=jnp.where(is_crease[:, None], only_first, seen),
             right=jnp.where(is_crease, seen[:, 1], NO_NEIGHBOUR),
+            crosses=jnp.zeros(ends.shape[0], bool),
         )
+
+    def with_crossings(self, found: PlaneCrossings) -> "Boundaries":
+        """With lines in which meshes cross, each within one pixel."""
+        count = found.used.shape[0]
+        segments = Segments(
+            found.start,
+            found.end,
+            jnp.stack([found.depth] * 2, axis=1),
+            found.used,
+            jnp.zeros((count, 2), jnp.int32),
+        )
+        none = jnp.full(count, NO_NEIGHBOUR, jnp.int32)
+        more = Boundaries(segments, jnp.stack([found.left, none], axis=1), found.right, jnp.ones(count, bool))
+        return jax.tree.map(lambda *parts: jnp.concatenate(parts), self, more)
 
     @property
     def count(self) -> Int[Array, ""]:

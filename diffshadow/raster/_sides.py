@@ -6,10 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .._arithmetic import safe_divide, take
+from .._arithmetic import take
 from .._types import ClipVertices, FaceMap, Faces, Resolution
 from ..geometry import NO_NEIGHBOUR, Edges, View
 from ._boundaries import Boundaries, Pieces
+from ._plane_crossings import window_depth
 from ._rasterize import NO_FACE
 
 # Samples closer to a line than this, in pixels, may lie on its other side by the rasterizer's rounding.
@@ -52,7 +53,7 @@ class Sides(NamedTuple):
         from_middle = place - pieces.middle
         aside = jnp.sum(from_middle * pieces.right, axis=-1)
 
-        depth_of = lambda face, at: _window_depth(face, clip, faces, at, (height, width))
+        depth_of = lambda face, at: window_depth(face, clip, faces, at, (height, width))
         middle, across = pieces.middle, pieces.right * _CLEAR
         # The nearer of two faces to the left.
         candidates = take(found.left, pieces.segment)
@@ -96,6 +97,10 @@ class Sides(NamedTuple):
         is_wrong = is_close & (is_left != (pieces.height > 0)) & (~is_crease | (centre == left) | (centre == right))
         shaded = jnp.where(is_back, to_right.face, jnp.where(inside.is_beside, inside.face, left))
         exists = pieces.pixel < height * width
+        # Where a mesh stands on another, or nearly, one line is both a silhouette and a crossing. It counts once.
+        touches = exists & ~is_crease & in_sight
+        touched = jnp.zeros(height * width + 1, bool).at[pieces.pixel].max(touches)[pieces.pixel]
+        in_sight = in_sight & ~(touched & take(found.crosses, pieces.segment))
         return cls(
             left=jnp.where(exists, jnp.where(is_crease, left, shaded), NO_FACE),
             right=jnp.where(exists, right, NO_FACE),
@@ -120,18 +125,3 @@ def adjoining(view: View, depth: Float[Array, " n"], resolution: Resolution) -> 
     """By how much window depths differ, at most, of surfaces that adjoin each other."""
     away = view.eye_depth(depth)
     return _ADJOINING * view.depth_slope(away) * view.texel_size(away, resolution)
-
-
-def _window_depth(
-    face: Int[Array, "*n"], clip: ClipVertices, faces: Faces, at: Float[Array, "*n 2"], resolution: Resolution
-) -> Float[Array, "*n"]:
-    """Window depth of the planes of faces at places in pixels; infinite where there is no face."""
-    height, width = resolution
-    corners = take(faces, jnp.maximum(face, 0))
-    x, y, z, w = ([take(clip[:, c], corners[..., k]) for k in range(3)] for c in range(4))
-    X, Y = at[..., 0] * (2 / width) - 1, at[..., 1] * (2 / height) - 1
-    x, y = [x[k] - X * w[k] for k in range(3)], [y[k] - Y * w[k] for k in range(3)]
-    areas = [x[i] * y[j] - x[j] * y[i] for i, j in ((1, 2), (2, 0), (0, 1))]
-    mean = lambda values: sum(area * value for area, value in zip(areas, values, strict=True))
-    depth = safe_divide(jnp.asarray(mean(z)), jnp.asarray(mean(w)), 1.0) * 0.5 + 0.5
-    return jnp.where(face >= 0, depth, jnp.inf)

@@ -91,7 +91,7 @@ def coverage(*quads):
     planned = plan_antialiasing(mesh, FRONT)
     assert planned.pieces <= 1024
     # One program for all.
-    return np.asarray(colours(mesh.padded(), AntialiasPlan(planned.edges, planned.creases, 1024)))
+    return np.asarray(colours(mesh.padded(), AntialiasPlan(planned.edges, planned.creases, 1024, 256)))
 
 
 class TestArea:
@@ -129,6 +129,16 @@ class TestArea:
         before = (np.abs(x + 0.5) < 0.51) & (np.abs(y - 0.003) < 0.7)
         fine = np.where(before, 0.3, np.where(behind, 1.0, 0.0))
         np.testing.assert_allclose(image, fine.reshape(SIDE, 16, SIDE, 16).mean(axis=(1, 3)), atol=0.035)
+
+
+    def test_of_two_that_cross_each_other_ends_where_they_cross(self):
+        # The slanted one is the nearer one to the right of x = 0.13, which is pixel 27.12.
+        upright = (0.0, 0.0, 0.0), (0.9, 0.0, 0), (0.0, 0.9, 0), 0.3
+        slanted = (0.13, 0.0, 0.0), (0.6, 0.0, 0.7), (0.0, 0.9, 0), 1.0
+        image = coverage(upright, slanted)[10:38]
+        np.testing.assert_allclose(image[:, 4:27], 0.3, atol=1e-4)
+        np.testing.assert_allclose(image[:, 27], 0.12 * 0.3 + 0.88, atol=1e-3)
+        np.testing.assert_allclose(image[:, 28:40], 1, atol=1e-4)
 
 
 @eqx.filter_jit
@@ -214,7 +224,7 @@ def test_values_at_centres_extend_to_the_nearest_surface():
     near, far = quad((0.1, 0, 1), (0.4, 0.1, 0), (-0.1, 0.3, 0)), quad((0, 0, 0), (2, 0, 0), (0, 2, 0))
     mesh = merge([grey(near, 0.9), grey(far, 0.2)])
     planned = plan_antialiasing(mesh, FRONT)
-    own, extended = extended_albedo(mesh.padded(), AntialiasPlan(planned.edges, planned.creases, 1024))
+    own, extended = extended_albedo(mesh.padded(), AntialiasPlan(planned.edges, planned.creases, 1024, 256))
     np.testing.assert_array_equal(extended[:SIDE], own[:SIDE])
     np.testing.assert_array_equal(extended[SIDE:][own[SIDE:] > 0], own[SIDE:][own[SIDE:] > 0])
 
@@ -230,4 +240,4 @@ def test_a_plan_that_is_too_small_is_an_error():
     mesh = quad((0, 0, 0), (0.5, 0.2, 0), (-0.2, 0.5, 0))
     planned = plan_antialiasing(mesh, FRONT)
     with pytest.raises(RuntimeError, match="memory for 16 pieces"):
-        jax.block_until_ready(colours(mesh.padded(), AntialiasPlan(planned.edges, planned.creases, 16)))
+        jax.block_until_ready(colours(mesh.padded(), AntialiasPlan(planned.edges, planned.creases, 16, 256)))
