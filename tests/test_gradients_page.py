@@ -93,7 +93,7 @@ def test_gradients_by_vertices_and_suns_are_near_differences():
 @pytest.mark.exhaustive
 def test_gradients_in_pytorch_are_those_of_differences_and_of_jax():
     torch = pytest.importorskip("torch")
-    names = names_after(7)
+    names = names_after(8)
     expected = float(jnp.mean(names["by_numbers"][0]))
     assert float(names["bias"].grad) == pytest.approx(expected, rel=1e-4)
     mean = names["to_torch"](lambda *numbers: jnp.mean(names["soft"](*numbers)))
@@ -109,7 +109,7 @@ def test_gradients_in_pytorch_are_those_of_differences_and_of_jax():
 
 @pytest.mark.exhaustive
 def test_gradients_of_the_picture_are_near_differences():
-    names = names_after(8)
+    names = names_after(7)
     # Of a picture that is darker to the left, so that it matters where the knot is.
     weights = np.linspace(0, 1, 64, dtype=np.float32)[:, None] / 64**2
     mean = jax.jit(lambda offset: jnp.sum(weights * names["picture"](offset)))

@@ -35,8 +35,8 @@ class PlaneCrossings(NamedTuple):
     used: Bool[Array, " m"]
 
 
-def mixed_pixels(centres: FaceMap, corners: Int[Array, "H W"], component: Int[Array, " f"]) -> Bool[Array, "h w"]:
-    """Which pixels see one part of the mesh at their centre and another one at a corner, by the `component` (f,) that
+def mixed_pixels(centres: FaceMap, corners: Int[Array, "H W"], component: Int[Array, " p"]) -> Bool[Array, "h w"]:
+    """Which pixels see one part of the mesh at their centre and another one at a corner, by the `component` (p,) that
     each face belongs to."""
     height, width = centres.shape
     part = lambda face: jnp.where(face >= 0, take(component, jnp.maximum(face, 0)), -1)
@@ -50,7 +50,7 @@ def plane_crossings(
     corners: Int[Array, "H W"],
     clip: ClipVertices,
     faces: Faces,
-    component: Int[Array, " f"],
+    component: Int[Array, " p"],
     capacity: int,
 ) -> PlaneCrossings:
     """The lines in which meshes cross, of as many of `mixed_pixels` as `capacity`."""

@@ -35,13 +35,13 @@ class AbstractShading(CheckedModule):
 
     def antialiased(
         self, seen: AntialiasedSurface, visibility: Visibilities, light: Lights, camera: AbstractCamera
-    ) -> VectorMap:
+    ) -> Float[Array, "y x 3"]:
         """The image with the mean over each pixel along outlines and creases.
 
-        **Arguments:** as for the image of a surface. `visibility` is that of all points of `seen.surface`, (H, w), or
-        of pixel centres alone, (h, w), which `seen.extend` takes further.
+        **Arguments:** as for the image of a surface. `visibility` is that of all points of `seen.surface`, (h, w), or
+        of pixel centres alone, (y, x), which `seen.extend` takes further.
 
-        **Returns:** (h, w, 3), linear. Differentiable by what moves outlines, too.
+        **Returns:** (y, x, 3), linear. Differentiable by what moves outlines, too.
 
         **Raises** `ValueError` unless there are as many visibilities as lights.
         """

@@ -41,7 +41,8 @@ def view(side=SIDE):
 def scene(name):
     """A mesh over a plane, and how many of the vertices are the mesh's."""
     piece = library_mesh(name, **({"segments": 24, "sides": 12} if name == "torus" else {}))
-    piece = fit_to_size(piece, 0.8).transformed(translation((0, 0.6, 0)) @ rotation((1.0, 0.3, 0.2), 0.8))
+    placed = translation(jnp.array([0.0, 0.6, 0.0])) @ rotation(jnp.array([1.0, 0.3, 0.2]), 0.8)
+    piece = fit_to_size(piece, 0.8).transformed(placed)
     return merge([piece, library_mesh("plane", size=4.0)]), len(piece.vertices)
 
 
@@ -129,7 +130,6 @@ class TestArea:
         before = (np.abs(x + 0.5) < 0.51) & (np.abs(y - 0.003) < 0.7)
         fine = np.where(before, 0.3, np.where(behind, 1.0, 0.0))
         np.testing.assert_allclose(image, fine.reshape(SIDE, 16, SIDE, 16).mean(axis=(1, 3)), atol=0.035)
-
 
     def test_of_two_that_cross_each_other_ends_where_they_cross(self):
         # The slanted one is the nearer one to the right of x = 0.13, which is pixel 27.12.
