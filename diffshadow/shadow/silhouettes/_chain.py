@@ -19,7 +19,7 @@ _MOST_VERTICES = 3
 _INSIDE = 0.5001
 # In square texels: areas that do not count, so that no direction is left to rounding.
 _NO_AREA = 1e-4
-# Added to each vertex's weight, so that those of a straight chain have some.
+# Added to each vertex's weight, so that the weights of a straight chain are not all 0.
 _LEAST_WEIGHT = 1e-6
 
 _Point = tuple[Float[Array, " t"], Float[Array, " t"]]
