@@ -63,7 +63,7 @@ def key_to_picture(config: Path, override: str, chromium: str, repeats: int) -> 
         assert server.stdout is not None
         address = server.stdout.readline().strip()
         drive = ["node", str(ENGINES / "press_keys.mjs"), str(ENGINES), chromium, address, str(repeats)]
-        taken = json.loads(subprocess.run(drive, capture_output=True, text=True, check=True).stdout)
+        taken = json.loads(subprocess.run(drive, stdout=subprocess.PIPE, text=True, check=True).stdout)
     finally:
         server.kill()
         server.communicate()

@@ -12,6 +12,7 @@ const KEYS = {
   camera: ["#picture", "ArrowRight"],
   light: ['[aria-label^="scene.light.azimuth"]', "ArrowRight"],
 };
+const LONGEST = 60000; // milliseconds from a key to its picture
 const QUIET = 1200; // milliseconds without a new picture, after which the page rests
 
 const browser = await chromium.launch({ executablePath, args: ["--no-sandbox", "--disable-dev-shm-usage"] });
@@ -51,7 +52,9 @@ try {
     for (let i = 0; i <= Number(repeats); i += 1) {
       await page.evaluate(watch);
       await page.keyboard.press(key);
-      const milliseconds = await page.evaluate(() => window.taken);
+      const late = page.waitForTimeout(LONGEST).then(() => null);
+      const milliseconds = await Promise.race([page.evaluate(() => window.taken), late]);
+      if (milliseconds === null) throw new Error(`no picture within a minute of ${key} on ${focus}`);
       if (i > 0) taken[change].push(milliseconds);
       await rest(page);
     }
