@@ -47,10 +47,14 @@ def rasterize_with_corners(
 @eqx.filter_jit
 def _centres_and_corners(clip: Float[Array, "*l v 4"], resolution: Resolution) -> Float[Array, "m v 4"]:
     """Clip coordinates of all layers of an image, and then of all layers of an image of its pixels' corners."""
-    height, width = resolution
     layers = clip.reshape(-1, *clip.shape[-2:])
-    corners = layers * jnp.array([width / (width + 1), height / (height + 1), 1, 1], clip.dtype)
-    return jnp.concatenate([layers, corners])
+    return jnp.concatenate([layers, _about_corners(layers, resolution)])
+
+
+def _about_corners(clip: Float[Array, "*l v 4"], resolution: Resolution) -> Float[Array, "*l v 4"]:
+    """Clip coordinates of an image whose pixel centres are the corners of the image's pixels."""
+    height, width = resolution
+    return clip * jnp.array([width / (width + 1), height / (height + 1), 1, 1], clip.dtype)
 
 
 @eqx.filter_jit

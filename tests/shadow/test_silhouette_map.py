@@ -28,6 +28,7 @@ from diffshadow.geometry import (
 )
 from diffshadow.io import load_mesh
 from diffshadow.raster import Surface, draw_surface, rasterize
+from diffshadow.raster._corners import _about_corners
 from diffshadow.reference import trace_visibility
 from diffshadow.shadow import (
     Bias,
@@ -52,7 +53,6 @@ from diffshadow.shadow import (
 )
 from diffshadow.shadow._draw_map import _silhouettes
 from diffshadow.shadow._lookup import Lookup, look_up
-from diffshadow.shadow._map_depths import _about_corners
 from diffshadow.shadow._receiver import receiver
 from diffshadow.shadow.kernels import Footprint
 from diffshadow.shadow.kernels._padded_silhouettes import BlockBounds
