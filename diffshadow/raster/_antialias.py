@@ -181,7 +181,8 @@ def _antialiased(
     height, width = centres.shape
     edges = Boundaries.of(clip, mesh.faces, plan.edges, plan.creases, cull, (height, width))
     component = plan.edges.component
-    found = edges.with_crossings(plane_crossings(centres, corners, clip, mesh.faces, component, plan.mixed))
+    mixed = mixed_pixels(centres, corners, component)
+    found = edges.with_crossings(plane_crossings(mixed, centres, corners, clip, mesh.faces, component, plan.mixed))
     behind = lax.stop_gradient(adjoining(view, found.segments.depth[:, 0], (height, width)))
     pieces = Pieces.of(found, (height, width), plan.pieces + max(plan.mixed, 1), behind)
     sides = lax.stop_gradient(Sides.of(pieces, found, view, clip, mesh.faces, plan.edges, centres, corners))
@@ -196,6 +197,5 @@ def _antialiased(
     surface = jax.tree.map(
         lambda *parts: jnp.concatenate(parts), surface_at_centres(mesh, eye, view, centres, clip), beside
     )
-    mixed = jnp.sum(mixed_pixels(centres, corners, component))
     area = jnp.where(sides.in_sight, pieces.beyond + sides.correction, 0)
-    return AntialiasedSurface(surface, pieces.pixel, area, (height, width)), edges.count, mixed
+    return AntialiasedSurface(surface, pieces.pixel, area, (height, width)), edges.count, jnp.sum(mixed)

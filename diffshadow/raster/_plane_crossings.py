@@ -46,6 +46,7 @@ def mixed_pixels(centres: FaceMap, corners: Int[Array, "H W"], component: Int[Ar
 
 
 def plane_crossings(
+    mixed: Bool[Array, "h w"],
     centres: FaceMap,
     corners: Int[Array, "H W"],
     clip: ClipVertices,
@@ -53,11 +54,10 @@ def plane_crossings(
     component: Int[Array, " p"],
     capacity: int,
 ) -> PlaneCrossings:
-    """The lines in which meshes cross, of as many of `mixed_pixels` as `capacity`."""
+    """The lines in which meshes cross, in as many of the `mixed` pixels as `capacity`."""
     height, width = centres.shape
     pixels = height * width
-    mixed = mixed_pixels(centres, corners, component).reshape(-1)
-    pixel = jnp.nonzero(mixed, size=max(capacity, 1), fill_value=pixels)[0].astype(jnp.int32)
+    pixel = jnp.nonzero(mixed.reshape(-1), size=max(capacity, 1), fill_value=pixels)[0].astype(jnp.int32)
     used, pixel = pixel < pixels, jnp.minimum(pixel, pixels - 1)
     row, column = pixel // width, pixel % width
     own, middle = centres[row, column], jnp.stack([column, row], axis=1) + 0.5
