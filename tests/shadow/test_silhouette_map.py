@@ -56,8 +56,7 @@ from diffshadow.shadow._lookup import Lookup, look_up
 from diffshadow.shadow._receiver import receiver
 from diffshadow.shadow.kernels import Footprint
 from diffshadow.shadow.kernels._padded_silhouettes import BlockBounds
-from diffshadow.shadow.silhouettes import WHOLE_TEXEL, HalfPlanes, Outline, Rectangle, cut_area
-from diffshadow.shadow.silhouettes._chain import corner_of_chain
+from diffshadow.shadow.silhouettes import WHOLE_TEXEL, HalfPlanes, Rectangle, cut_area
 from diffshadow.shadow.silhouettes._crossings import BOTTOM, LEFT, RIGHT, TOP, _outermost
 
 # Meshes of maps that are drawn under a trace are filled up to this, so that they share what is compiled.
@@ -331,46 +330,6 @@ def _clip(polygon, normal, offset):
 def _shoelace(polygon) -> float:
     x, y = np.array(polygon).T if polygon else np.zeros((2, 1))
     return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
-
-
-@jax.jit
-def _corners(vertices, ends):
-    """The corners of chains (t, 4) through three edges and through four, and the derivative of their area."""
-
-    def area(vertices):
-        edges = jnp.arange(4 * len(ends), dtype=jnp.int32).reshape(-1, 4)
-        nothing = jnp.zeros((4 * len(ends), 2))
-        following = jnp.where(edges % 4 < 3, edges + 1, -1).reshape(-1)
-        none = jnp.zeros((4 * len(ends), 2), jnp.int32)
-        of_edges = Outline(nothing, vertices.reshape(-1, 2), nothing, none[:, 0], none, following)
-        given = (edges[:, 0], edges[:, 3] - jnp.arange(len(ends), dtype=jnp.int32) % 2), (ends[:, 0], ends[:, 1])
-        found = corner_of_chain(of_edges, *given, jnp.zeros((len(ends), 2)))
-        a, b = found.place - ends[:, 0], ends[:, 1] - ends[:, 0]
-        return jnp.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2, found
-
-    (_, found), slope = jax.value_and_grad(area, has_aux=True)(vertices)
-    return found, slope
-
-
-def test_two_lines_bound_the_area_of_a_longer_chain():
-    """Chains from the left side to the right one, whose corner lies within the texel."""
-    rng, count = np.random.default_rng(0), 40
-    x = np.sort(rng.uniform(-0.45, 0.45, (count, 3)), axis=1)
-    vertices = np.concatenate([np.stack([x, rng.uniform(-0.1, 0.1, x.shape)], axis=-1), np.ones((count, 1, 2))], axis=1)
-    ends = np.stack([np.full((count, 2), [-0.5, 0.5]), rng.uniform(-0.1, 0.1, (count, 2))], axis=-1)
-    found, slope = _corners(jnp.asarray(vertices, jnp.float32), jnp.asarray(ends, jnp.float32))
-    assert np.asarray(found.exists).all()
-    for i in range(count):
-        inner = list(vertices[i, : 3 - i % 2])
-        chain = [ends[i, 0], *inner, ends[i, 1]]
-        assert _shoelace([ends[i, 0], np.asarray(found.place)[i], ends[i, 1]]) == pytest.approx(
-            _shoelace(chain), abs=1e-6
-        )
-        # The area grows by half of what lies between a vertex's neighbours, turned.
-        for k in range(len(inner)):
-            across = chain[k + 2] - chain[k]
-            np.testing.assert_allclose(slope[i, k], [across[1] / 2, -across[0] / 2], atol=1e-5)
-        assert np.all(np.asarray(slope)[i, len(inner) :] == 0)
 
 
 SQUARE = np.array([[-0.37, 1, -0.31], [-0.33, 1, 0.29], [0.41, 1, 0.36], [0.28, 1, -0.4]])

@@ -9,18 +9,13 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from ..._arithmetic import normalize, take
-from ._chain import corner_of_chain
 from ._crossings import BOTTOM, RIGHT, TOP, Grid, OutlineCrossings
 from ._half_planes import HalfPlanes
-from ._outline import Outline
 
 # An offset so low that the half-plane contains every texel.
 _EVERYWHERE = -1e6
 # The sine of the smallest angle that counts as a corner of the outline within a texel.
 _MIN_TURN = 1e-3
-
-# The sine of the smallest angle between an edge and a side along which its crossing moves.
-_LEAST_SLOPE = 1e-3
 
 # A texel's corners (row, column), along the walk around it, and whether this follows the sides that begin there.
 _CORNERS = np.array([(0, 0), (0, 1), (1, 1), (1, 0)], np.int32)
@@ -46,15 +41,12 @@ class Contours(NamedTuple):
 class _Points(NamedTuple):
     """Where the outline enters or leaves texels, relative to their centres.
 
-    `direction` is 0 if no edge is known. `motion` has value zero, and the derivative of the edge's point. `is_level`:
-    whether the point's side is; `edge`: the number of the edge, -1 if none is known.
+    `direction` is 0 if no edge is known. `motion` has value zero, and the derivative of the edge's point.
     """
 
     place: Float[Array, "2 t 2"]
     direction: Float[Array, "2 t 2"]
     motion: Float[Array, "2 t 2"]
-    is_level: Bool[Array, "2 t"]
-    edge: Int[Array, "2 t"]
 
     @classmethod
     def of(cls, crossings: OutlineCrossings, crossing: Int[Array, "4 t"], side: Int[Array, "2 t"]) -> "_Points":
@@ -64,10 +56,7 @@ class _Points(NamedTuple):
         along, is_level = take(crossings.place, own) - 0.5, (side == BOTTOM) | (side == TOP)
         x = jnp.where(is_level, along, jnp.where(side == RIGHT, 0.5, -0.5))
         y = jnp.where(is_level, jnp.where(side == TOP, 0.5, -0.5), along)
-        direction, motion, edge = (
-            take(values, own) for values in (crossings.direction, crossings.motion, crossings.edge)
-        )
-        return cls(jnp.stack([x, y], axis=-1), direction, motion, is_level, edge)
+        return cls(jnp.stack([x, y], axis=-1), take(crossings.direction, own), take(crossings.motion, own))
 
     @property
     def on_edge(self) -> Bool[Array, "2 t"]:
@@ -75,7 +64,7 @@ class _Points(NamedTuple):
 
 
 def find_contours(
-    depth: Float[Array, " m"], corners: Float[Array, " k"], crossings: OutlineCrossings, outline: Outline, grid: Grid
+    depth: Float[Array, " m"], corners: Float[Array, " k"], crossings: OutlineCrossings, grid: Grid
 ) -> Contours:
     """The contours of texels with crossings, (t,).
 
@@ -104,22 +93,12 @@ def find_contours(
     is_band = ~jnp.any(covered, axis=0) | (own < threshold)
     start, end, has_two = _pair(used[0], used[1], is_band)
     start, end = _Points.of(crossings, crossing[0], start), _Points.of(crossings, crossing[1], end)
-    along_edges = jnp.stack([start.place[0], end.place[0]]) + jnp.stack(
-        [_motion(start, end)[0], _motion(end, start)[0]]
-    )
-    across = start.place + _slide(start, end), end.place + _slide(end, start)
-    ends = across[0][0], across[1][0]
-    centre = jnp.stack([column, row], axis=-1).astype(depth.dtype) + 0.5
-    chain = corner_of_chain(outline, (start.edge[0], end.edge[0]), ends, centre)
-    bend = jnp.where(has_two, 0, jnp.where(chain.exists, chain.turn, _bend(start, end)))
-    # Two lines along the edges that enter and leave, two through the corner of a chain, or straight lines.
-    to_corner = normalize(jnp.stack([chain.place - ends[0], ends[1] - chain.place]))
-    pick = lambda edges, corner, straight: jnp.where(
-        (bend != 0)[:, None], jnp.where(chain.exists[:, None], corner, edges), straight
-    )
-    place = pick(along_edges, jnp.stack(ends), across[0])
-    of_edges = jnp.stack([start.direction[0], end.direction[0]])
-    planes = _left_of(place, pick(of_edges, to_corner, normalize(across[1] - across[0])))
+    start, end = _moved(start, end), _moved(end, start)
+
+    bend = jnp.where(has_two, 0, _bend(start, end))
+    at_ends = jax.tree.map(lambda start, end: jnp.stack([start[0], end[0]]), start, end)
+    straight = start._replace(direction=normalize(end.place - start.place))
+    planes = jax.tree.map(lambda a, b: jnp.where(bend != 0, a, b), _left_of(at_ends), _left_of(straight))
     # Two separate casters, and a concave corner, are the complement of two flipped half-planes.
     flipped = (has_two & ~is_band) | (bend < 0)
     everywhere = HalfPlanes(*(jnp.array([[0], [value]]) for value in (0, 0, _EVERYWHERE)))
@@ -155,26 +134,16 @@ def _pair(
     return start, jnp.where(has_two & is_band, began[::-1], began), has_two
 
 
-def _motion(points: _Points, other: _Points) -> Float[Array, "2 t 2"]:
-    """Of value zero, with the points' derivative; a point that is not on an edge moves like the `other` end of its
-    line."""
-    return jnp.where(points.on_edge[..., None], points.motion, other.motion)
+def _moved(points: _Points, other: _Points) -> _Points:
+    """The points with their derivatives; a point that is not on an edge moves like the `other` end of its line."""
+    motion = jnp.where(points.on_edge[..., None], points.motion, other.motion)
+    return points._replace(place=points.place + motion)
 
 
-def _slide(points: _Points, other: _Points) -> Float[Array, "2 t 2"]:
-    """As `_motion`, but along the sides of texels if the ends of a line are on different edges: no edge moves it."""
-    x, y = jnp.moveaxis(lax.stop_gradient(points.direction), -1, 0)
-    by_side = jnp.where(points.is_level, -y, x)
-    slides = points.on_edge & other.on_edge & (points.edge != other.edge) & (jnp.abs(by_side) > _LEAST_SLOPE)
-    slide = (x * points.motion[..., 1] - y * points.motion[..., 0]) / jnp.where(slides, by_side, 1)
-    along = jnp.stack([jnp.where(points.is_level, slide, 0), jnp.where(points.is_level, 0, slide)], axis=-1)
-    return jnp.where(slides[..., None], along, _motion(points, other))
-
-
-def _left_of(place: Float[Array, "2 t 2"], direction: Float[Array, "2 t 2"]) -> HalfPlanes:
-    """The half-planes to the left of the lines through `place` along `direction`."""
-    x, y = -direction[..., 1], direction[..., 0]
-    return HalfPlanes(x, y, x * place[..., 0] + y * place[..., 1])
+def _left_of(points: _Points) -> HalfPlanes:
+    """The half-planes to the left of the lines through the points, along their directions."""
+    x, y = -points.direction[..., 1], points.direction[..., 0]
+    return HalfPlanes(x, y, x * points.place[..., 0] + y * points.place[..., 1])
 
 
 def _bend(start: _Points, end: _Points) -> Float[Array, " t"]:

@@ -48,7 +48,6 @@ class OutlineCrossings(eqx.Module):
     - `place`, `depth`: (c + 1,), of each crossing: the position along its side, in [0, 1], and its window depth.
     - `direction`: (c + 1, 2), the edge's unit direction, with the caster to its left; 0 for none.
     - `motion`: (c + 1, 2), of value zero, with the derivative of the edge's point there.
-    - `edge`: (c + 1,), the edge's number in the outline; -1 for none.
     """
 
     texel: Int[Array, " t"]
@@ -57,7 +56,6 @@ class OutlineCrossings(eqx.Module):
     depth: Float[Array, " c"]
     direction: Float[Array, "c 2"]
     motion: Float[Array, "c 2"]
-    edge: Int[Array, " c"]
 
 
 def find_crossings(outline: Outline, corners: Float[Array, " k"], grid: Grid, capacity: int) -> OutlineCrossings:
@@ -119,7 +117,6 @@ def find_crossings(outline: Outline, corners: Float[Array, " k"], grid: Grid, ca
         depth=jnp.concatenate([depth, depth, jnp.ones(1, place.dtype)]),
         direction=jnp.concatenate([direction, direction, none]),
         motion=jnp.concatenate([motion, motion, none]),
-        edge=jnp.concatenate([found.segment, found.segment, jnp.full(1, -1, jnp.int32)]),
     )
 
 

@@ -14,7 +14,6 @@ class Outline(eqx.Module):
 
     - `start`, `end`: (n, 2), in texels; `depth`: (n, 2), window depth at both; `layer`: (n,), of the map.
     - `counts`: (n, 2), how many vertical and horizontal texel boundaries each edge crosses.
-    - `following`: (n,), the edge that starts at the vertex where each one ends; one of several, -1 for none.
     """
 
     start: Float[Array, "n 2"]
@@ -22,7 +21,6 @@ class Outline(eqx.Module):
     depth: Float[Array, "n 2"]
     layer: Int[Array, " n"]
     counts: Int[Array, "n 2"]
-    following: Int[Array, " n"]
 
     @classmethod
     def of(
@@ -35,7 +33,4 @@ class Outline(eqx.Module):
         used = jnp.tile(found.multiplicity != 0, clip.shape[0])
         at = Segments.of(clip[:, ends].reshape(-1, 2, 4), used, resolution)
         layer = jnp.repeat(jnp.arange(clip.shape[0], dtype=jnp.int32), ends.shape[0])
-        number = jnp.where(found.multiplicity != 0, jnp.arange(ends.shape[0], dtype=jnp.int32), -1)
-        following = jnp.full(clip.shape[1], -1, jnp.int32).at[ends[:, 0]].max(number)[ends[:, 1]]
-        following = jnp.where(following < 0, -1, following + layer.reshape(clip.shape[0], -1) * ends.shape[0])
-        return cls(at.start, at.end, at.depth, layer, at.counts, following.reshape(-1))
+        return cls(at.start, at.end, at.depth, layer, at.counts)

@@ -6,9 +6,8 @@ sides of texels come from the silhouette edges and are not interpolated from sam
 folds of a mesh drop out, and hard shadows have sub-texel accuracy. The crossings move with the light and the vertices,
 which gives visibility its derivatives.
 
-Two edges that meet within a texel keep their corner. A chain of three or four edges keeps its area. Of a longer chain,
-and where hidden edges cross a corner of the outline, only the first and the last edge are kept, or the chain is cut
-short. Parts of a caster narrower than a texel are lost if they cross fewer than two of its sides.
+Two edges that meet within a texel keep their corner. Of a longer chain only the first and the last edge are kept, or
+the chain is cut short. Parts of a caster narrower than a texel are lost if they cross fewer than two of its sides.
 """
 
 from collections.abc import Callable
@@ -104,7 +103,7 @@ def find_silhouettes(
     # At least 1, since an empty array cannot be indexed.
     capacity = max(capacity, 1)
     crossings = find_crossings(outline, corners.reshape(-1), grid, capacity)
-    found = find_contours(depth.reshape(-1), corners.reshape(-1), crossings, outline, grid)
+    found = find_contours(depth.reshape(-1), corners.reshape(-1), crossings, grid)
     number = jnp.arange(2 * capacity, dtype=jnp.int32)
     place = jnp.where(found.exists, crossings.texel, grid.texels)
     slot = jnp.full(grid.texels + 1, NO_SILHOUETTE, jnp.int32).at[place].max(number)[:-1]
