@@ -138,6 +138,8 @@ def _entries(setting: Setting, value: Any) -> tuple[Any, ...] | None:
         return None
     if isinstance(value, tuple | list):
         return tuple(value)
+    if isinstance(value, eqx.Module):
+        return tuple(jax.tree.leaves(value))
     known = concrete(value) if hasattr(value, "shape") else None
     return tuple(known) if known is not None and known.ndim == 1 else None
 

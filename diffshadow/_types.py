@@ -15,6 +15,7 @@ from numpy import ndarray
 Scalar = Float[Array, ""]
 Vec2 = Float[Array, "2"]
 Vec3 = Float[Array, "3"]
+Mat3 = Float[Array, "3 3"]
 Mat4 = Float[Array, "4 4"]
 
 Vertices = Float[Array, "v 3"]

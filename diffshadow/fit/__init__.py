@@ -32,7 +32,7 @@ from ._shape import fit_shape
 from ._shape_steps import PHASES as SHAPE_PHASES
 from ._shape_steps import FittedShape, ShapePhase, ShapeState, ShapeStep
 from ._train import Training, TrainingPhase, mean_square_error, train
-from .problems import AbstractProblem, PoseProblem, ShapeProblem, ShapeView, TechniqueProblem
+from .problems import AbstractProblem, PictureProblem, PoseProblem, ShapeProblem, ShapeView, TechniqueProblem
 from .problems import cone_fraction as cone_fraction
 from .solvers import Solver
 
@@ -53,6 +53,7 @@ __all__ = [
     "Outcome",
     "Parameter",
     "Parameters",
+    "PictureProblem",
     "PoseProblem",
     "Precision",
     "Profile",

@@ -1,4 +1,4 @@
-"""What a fit of poses may change: a technique's numbers, the lights, and the meshes."""
+"""What a fit of poses may change: a technique's numbers, lights and meshes; in fits to pictures, camera and colours."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -6,11 +6,11 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
-from .._arithmetic import as_float, safe_norm
-from .._types import Vec3
-from ..geometry import AbstractLight, LightPose, Mesh, Scene, Vector
+from .._arithmetic import as_float
+from .._types import Scalar, Vec3
+from ..geometry import AbstractLight, CameraPose, LightPose, Mesh, Scene, Vector, rotation_less_one
+from ..shading import AbstractShading, Colour
 from ..shadow import ShadowMapping
 
 
@@ -23,6 +23,7 @@ class MeshPose(eqx.Module):
     - `vertices`: positions of single vertices before translation and rotation, world units, by their index as text.
         Vertices at the same position move together.
     - `home`: (3,), the value of `translate` at which the mesh is not translated.
+    - `albedo`: the colour of all its faces; none to leave it as it is.
     """
 
     translate: Vector
@@ -30,15 +31,24 @@ class MeshPose(eqx.Module):
     vertices: dict[str, Vector]
     home: Vec3 = eqx.field(converter=as_float)
     together: dict[str, tuple[int, ...]] = eqx.field(static=True, default_factory=dict)
+    albedo: Colour | None = None
 
     @classmethod
-    def of(cls, mesh: Mesh, vertices: Sequence[int] = (), home: Sequence[float] = (0.0, 0.0, 0.0)) -> "MeshPose":
+    def of(
+        cls,
+        mesh: Mesh,
+        vertices: Sequence[int] = (),
+        home: Sequence[float] = (0.0, 0.0, 0.0),
+        *,
+        coloured: bool = False,
+    ) -> "MeshPose":
         """The pose of `mesh` as it stands.
 
         **Arguments:**
 
         - `vertices`: indices of the vertices that can be moved one by one.
         - `home`: the value of `translate` for the mesh as it stands.
+        - `coloured`: whether its colour can be fitted, in a fit to a picture. It starts at the mean over its faces.
 
         **Raises** `ValueError` for a vertex that the mesh does not have.
         """
@@ -53,6 +63,7 @@ class MeshPose(eqx.Module):
             vertices={str(index): Vector(*points[index]) for index in vertices},
             home=home,
             together={str(index): same(index) for index in vertices},
+            albedo=Colour(*np.asarray(mesh.albedo).mean(axis=0)) if coloured else None,
         )
 
     @eqx.filter_jit
@@ -62,23 +73,15 @@ class MeshPose(eqx.Module):
         for index, vertex in self.vertices.items():
             vertices = vertices.at[np.asarray(self.together[index])].set(vertex.array)
         middle = mesh.bounds.mean(axis=0)
-        bend = _rotation_less_one(jnp.deg2rad(self.turn.array))
+        bend = rotation_less_one(jnp.deg2rad(self.turn.array))
         # Added to what is there, so that a mesh at rest keeps its vertices to the last digit.
         turned = vertices + jnp.matmul(vertices - middle, bend.T, precision="highest")
         normals = mesh.corner_normals + jnp.matmul(mesh.corner_normals, bend.T, precision="highest")
         moved = (turned + (self.translate.array - self.home), normals)
-        return eqx.tree_at(lambda one: (one.vertices, one.corner_normals), mesh, moved)
-
-
-def _rotation_less_one(vector: Vec3) -> Float[Array, "3 3"]:
-    """The rotation about `vector` by its length in radians (Rodrigues' formula) less the identity, smooth at 0."""
-    x, y, z = vector
-    zero = jnp.zeros_like(x)
-    cross = jnp.stack([jnp.stack(row) for row in ([zero, -z, y], [z, zero, -x], [-y, x, zero])])
-    angle = safe_norm(vector)
-    # R - I = sin(a) / a K + (1 - cos(a)) / a² K², with K the cross product with the vector itself.
-    first, second = jnp.sinc(angle / jnp.pi), jnp.sinc(angle / (2 * jnp.pi)) ** 2 / 2
-    return first * cross + second * jnp.matmul(cross, cross, precision="highest")
+        placed = eqx.tree_at(lambda one: (one.vertices, one.corner_normals), mesh, moved)
+        if self.albedo is None:
+            return placed
+        return eqx.tree_at(lambda one: one.albedo, placed, jnp.broadcast_to(self.albedo.array, mesh.albedo.shape))
 
 
 class Arrangement(eqx.Module):
@@ -87,11 +90,16 @@ class Arrangement(eqx.Module):
     - `technique`: the shadow mapping.
     - `lights`: the pose of each light.
     - `meshes`: the pose of each mesh.
+    - `camera`, `shading`, `exposure`: the camera's pose, the shading, and by how many stops the picture is lightened,
+        for a fit to a picture; none in other fits.
     """
 
     technique: ShadowMapping
     lights: tuple[LightPose, ...]
     meshes: tuple[MeshPose, ...]
+    camera: CameraPose | None = None
+    shading: AbstractShading | None = None
+    exposure: Scalar | None = None
 
     @classmethod
     def of(
@@ -101,8 +109,16 @@ class Arrangement(eqx.Module):
         poses = (mesh if isinstance(mesh, MeshPose) else MeshPose.of(mesh) for mesh in meshes)
         return cls(technique, tuple(light.pose() for light in lights), tuple(poses))
 
+    @classmethod
+    def of_picture(cls, technique: ShadowMapping, scene: Scene, shading: AbstractShading) -> "Arrangement":
+        """Everything in a picture of `scene` as it stands. Meshes of one colour have an `albedo`."""
+        is_plain = [bool((np.asarray(mesh.albedo) == np.asarray(mesh.albedo)[0]).all()) for mesh in scene.meshes]
+        meshes = [MeshPose.of(mesh, coloured=plain) for mesh, plain in zip(scene.meshes, is_plain, strict=True)]
+        plain = cls.of(technique, scene.lights, meshes)
+        return dataclasses.replace(plain, camera=scene.camera.pose(), shading=shading, exposure=as_float(0.0))
+
     def placed(self, scene: Scene) -> Scene:
-        """`scene`, whose lights and meshes the arrangement is of, as they are arranged.
+        """`scene`, whose lights, meshes and camera the arrangement is of, as they are arranged.
 
         Lights that can be refitted have the frustum of their shadow map fitted to the meshes. `io.write_gltf` writes
         such a scene for other programs.
@@ -110,7 +126,8 @@ class Arrangement(eqx.Module):
         meshes = [pose.placed(mesh) for pose, mesh in zip(self.meshes, scene.meshes, strict=True)]
         points = jnp.concatenate([mesh.vertices for mesh in meshes])
         lights = [light.at(pose).refitted(points) for pose, light in zip(self.lights, scene.lights, strict=True)]
-        return dataclasses.replace(scene, meshes=meshes, lights=lights)
+        camera = scene.camera if self.camera is None else scene.camera.at(self.camera)
+        return dataclasses.replace(scene, meshes=meshes, lights=lights, camera=camera)
 
 
 def is_of_technique(path: str) -> bool:

@@ -19,13 +19,14 @@ import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
 from jaxtyping import Array, Float
 
 from ..shadow import SoftCompare
 from ._anneal import Anneal
 from ._arrangement import is_of_technique
 from ._parameters import Parameters
-from .problems import AbstractProblem, Joint, PoseProblem, blurs_of
+from .problems import ArrangedProblem, Joint, blurs_of
 from .solvers import Stop
 
 # Numbers of a technique whose gradient does not need a soft compare.
@@ -67,15 +68,13 @@ class Phase(NamedTuple):
 
     @property
     def blurs(self) -> tuple[float, ...]:
-        """The standard deviation, in pixels, of the blur under which it compares each problem's images."""
-        return tuple(problem.blur_in_pixels for problem in self.joint.problems)
+        """The standard deviation, in pixels, of the blur under which it compares each image."""
+        each = self.joint.problems
+        return tuple(problem.blur_in_pixels for problem in each for _ in range(np.size(problem.count)))
 
     def with_memory_of(self, joint: Joint) -> "Phase":
         """With as much memory for silhouettes as the problems of `joint` have."""
-        grown = tuple(
-            dataclasses.replace(own, crossings=like.crossings, edges=like.edges)
-            for own, like in zip(self.joint.problems, joint.problems, strict=True)
-        )
+        grown = tuple(own.with_memory_of(like) for own, like in zip(self.joint.problems, joint.problems, strict=True))
         return self._replace(joint=dataclasses.replace(self.joint, problems=grown))
 
 
@@ -114,7 +113,7 @@ def _phases_of_poses(
     joint: Joint, paths: Sequence[str], annealed: list[Phase], blurs: Sequence[float] | None
 ) -> list[Phase]:
     poses = tuple(i for i, path in enumerate(paths) if not is_of_technique(path))
-    *wide, narrow = blurs_of(blurs, *(side for problem in joint.problems for side in problem.reference.shape))
+    *wide, narrow = blurs_of(blurs, *(side for problem in joint.problems for side in problem.shape))
     first = [Phase(_blurred(joint.hard(), blur), poses, 0.0, stop=Stop(shortest=_ROUGHLY)) for blur in wide if poses]
     if any(is_of_technique(path) and path.rpartition(".")[2] not in _GEOMETRIC for path in paths):
         last = annealed
@@ -132,7 +131,7 @@ def _blurred(joint: Joint, blur: float) -> Joint:
 def enlarged(joint: Joint, parameters: Parameters, values: Float[Array, "k p"]) -> Joint:
     """With memory for several times the silhouettes at each row of `values` (k, p)."""
 
-    def grown(problem: PoseProblem) -> AbstractProblem:
+    def grown(problem: ArrangedProblem) -> ArrangedProblem:
         for there in values:
             moved = dataclasses.replace(problem, arrangement=parameters.put(problem.arrangement, there))
             problem = dataclasses.replace(moved.planned(), arrangement=problem.arrangement)

@@ -103,6 +103,7 @@ def precision_of(
     slopes: Sequence[Float[HostArray, "p _ _"]],
     blurs: Sequence[float],
     span: Float[HostArray, " p"],
+    channels: int = 1,
 ) -> Precision:
     """The precision of a least-squares fit to several images.
 
@@ -113,6 +114,7 @@ def precision_of(
     - `slopes`: (p, h, w), their derivatives with respect to each parameter's fraction of the distance `span` (p,)
         between its bounds.
     - `blurs`: standard deviation, in pixels, of the Gaussian under which each image is compared; 0 for none.
+    - `channels`: so many images in a row are channels of one picture, whose residuals are correlated.
     """
     images = list(zip(differences, slopes, blurs, strict=True))
     if not all(np.isfinite(difference).all() and np.isfinite(slope).all() for difference, slope, _ in images):
@@ -125,12 +127,10 @@ def precision_of(
     columns = np.concatenate([each.reshape(len(used), -1) for each in blurred], axis=1).T
     # One column for each grid.
     residuals = np.concatenate([_blurred(each, blur).reshape(len(each), -1) for each, _, blur in images], axis=1).T
+    scores = [each[0] * _blurred(slope, blur) for (each, _, blur), slope in zip(images, blurred, strict=True)]
+    pictures = [np.sum(scores[i : i + channels], axis=0) for i in range(0, len(scores), channels)]
     scatter = np.concatenate(
-        [
-            _root_of_covariance(each[0] * _blurred(slope, blur), blur)
-            for (each, _, blur), slope in zip(images, blurred, strict=True)
-        ],
-        axis=1,
+        [_root_of_covariance(score, blur) for score, blur in zip(pictures, blurs[::channels], strict=True)], axis=1
     )
     _, effect, ways = np.linalg.svd(np.linalg.qr(columns, mode="r"), full_matrices=False)
     # Along the principal directions, from the best determined to the worst. Where the residual is 0, the fit is exact.

@@ -155,7 +155,8 @@ class Run:
         joint = phase.joint.put(self.parameters, as_float(path.values[chosen + 1]))
         differences = on_grids(joint, solution.differences, np.asarray(solution.roots))
         slopes = [stack for stacks in solution.slopes for stack in np.asarray(stacks).swapaxes(0, 1)]
-        return precision_of(names, differences, slopes, phase.blurs, span)
+        channels = np.size(phase.joint.problems[0].count)
+        return precision_of(names, differences, slopes, phase.blurs, span, channels)
 
     def flat(self, path: Trajectory) -> list[str]:
         """Names of the parameters that had no slope, and never moved."""

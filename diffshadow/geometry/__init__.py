@@ -9,6 +9,7 @@ from ._arrange import angles_of as angles_of
 from ._arrange import arrange as arrange
 from ._arrange import turn_up as turn_up
 from ._camera import AbstractCamera, MatrixCamera, OrthographicCamera, PinholeCamera, orbit_eye
+from ._camera_pose import CameraPose
 from ._edges import NO_NEIGHBOUR as NO_NEIGHBOUR
 from ._edges import Edges
 from ._edges import share_vertices as share_vertices
@@ -44,18 +45,20 @@ from ._transforms import (
     translation,
 )
 from ._transforms import infinite_far as infinite_far
+from ._transforms import rotation_less_one as rotation_less_one
 from ._transforms import tangents as tangents
+from ._vector import Vector as Vector
 from ._view import View
 from ._warp import Warp as Warp
 from .lights import AbstractLight, DirectionalLight, LightPose, MatrixLight, PointLight, RectangleLight, SpotLight
 from .lights import Domain as Domain
-from .lights import Vector as Vector
 
 __all__ = [
     "LIBRARY",
     "WORLD",
     "AbstractCamera",
     "AbstractLight",
+    "CameraPose",
     "CascadeSelection",
     "DirectionalLight",
     "Edges",

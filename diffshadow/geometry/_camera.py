@@ -4,6 +4,7 @@
 # pyright: reportIncompatibleVariableOverride=false
 
 import abc
+import dataclasses
 import math
 from typing import Any, ClassVar
 
@@ -11,14 +12,16 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from .._arithmetic import array_module, as_float, as_number, concrete
+from .._arithmetic import array_module, as_float, as_number, concrete, safe_norm
 from .._checks import CheckedModule, as_tuple, check_value, listed
-from .._types import AsScalar, AsVec3, Mat4, Resolution, Scalar, Vec3
+from .._types import AsScalar, AsVec3, Mat3, Mat4, Resolution, Scalar, Vec3
 from ..settings import scene
 from ..settings.quantities import Position
 from ..settings.scene import Camera
+from ._camera_pose import CameraPose
 from ._matrices import eye_of, matrices_of, near_far_of, view_of
 from ._transforms import centred_orthographic, centred_perspective, look_at
+from ._vector import Vector
 from ._view import View
 
 
@@ -53,6 +56,24 @@ class AbstractCamera(CheckedModule):
             far=self.far,
             is_perspective=isinstance(self, PinholeCamera),
         )
+
+    def pose(self) -> CameraPose:
+        """The camera's pose."""
+        return CameraPose(Vector(*self.eye), Vector())
+
+    @abc.abstractmethod
+    def at(self, pose: CameraPose) -> "AbstractCamera":
+        """The same camera in another `pose`, whose `turn` is relative to this camera."""
+
+    def _turned(self, pose: CameraPose) -> tuple[Vec3, Vec3, Vec3]:
+        """Eye, target and up in a `pose`."""
+        eye = pose.eye.array
+        _, up, backward = pose.axes(self._axes)
+        return eye, eye - safe_norm(self.target - self.eye) * backward, up
+
+    @property
+    def _axes(self) -> Mat3:
+        return self.view().world_to_eye[:3, :3]
 
     @property
     def aspect(self) -> float:
@@ -89,6 +110,13 @@ class PinholeCamera(AbstractCamera):
     def projection(self) -> Mat4:
         return centred_perspective(self.fov_y, self.near, self.far, as_float(self.aspect))
 
+    def pose(self) -> CameraPose:
+        return dataclasses.replace(super().pose(), fov_y=self.fov_y)
+
+    def at(self, pose: CameraPose) -> "PinholeCamera":
+        parts = lambda one: (one.eye, one.target, one.up, one.fov_y)
+        return eqx.tree_at(parts, self, (*self._turned(pose), pose.fov_y))
+
 
 class OrthographicCamera(AbstractCamera):
     """A parallel camera; `height` is the height of what it sees, in world units."""
@@ -103,6 +131,13 @@ class OrthographicCamera(AbstractCamera):
 
     def projection(self) -> Mat4:
         return centred_orthographic(self.height * as_float([self.aspect, 1.0]), self.near, self.far)
+
+    def pose(self) -> CameraPose:
+        return dataclasses.replace(super().pose(), height=self.height)
+
+    def at(self, pose: CameraPose) -> "OrthographicCamera":
+        parts = lambda one: (one.eye, one.target, one.up, one.height)
+        return eqx.tree_at(parts, self, (*self._turned(pose), pose.height))
 
     def _check_rules(self):
         super()._check_rules()
@@ -173,6 +208,11 @@ class MatrixCamera(AbstractCamera):
 
     def projection(self) -> Mat4:
         return self.eye_to_clip
+
+    def at(self, pose: CameraPose) -> "MatrixCamera":
+        eye, axes = pose.eye.array, pose.axes(self._axes)
+        moved = self.world_to_eye.at[:3].set(jnp.column_stack([axes, -jnp.matmul(axes, eye, precision="highest")]))
+        return eqx.tree_at(lambda one: one.world_to_eye, self, moved)
 
     def view(self) -> View:
         return view_of(self.world_to_eye, self.eye_to_clip, self.is_perspective)

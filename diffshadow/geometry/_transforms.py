@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._arithmetic import as_float, dot, normalize
+from .._arithmetic import as_float, dot, normalize, safe_norm
 from .._types import Mat4, Scalar, Vec3
 
 
@@ -31,6 +31,17 @@ def rotation(axis: Vec3, angle: Scalar | float) -> Mat4:
     # R = I + sin(a) K + (1 - cos(a)) K²
     upper = jnp.eye(3) + jnp.sin(angle) * cross + (1 - jnp.cos(angle)) * jnp.matmul(cross, cross, precision="highest")
     return jnp.eye(4).at[:3, :3].set(upper)
+
+
+def rotation_less_one(vector: Vec3) -> Float[Array, "3 3"]:
+    """The rotation about `vector` by its length in radians (Rodrigues' formula) less the identity, smooth at 0."""
+    x, y, z = vector
+    zero = jnp.zeros_like(x)
+    cross = jnp.stack([jnp.stack(row) for row in ([zero, -z, y], [z, zero, -x], [-y, x, zero])])
+    angle = safe_norm(vector)
+    # R - I = sin(a) / a K + (1 - cos(a)) / a² K², with K the cross product with the vector itself.
+    first, second = jnp.sinc(angle / jnp.pi), jnp.sinc(angle / (2 * jnp.pi)) ** 2 / 2
+    return first * cross + second * jnp.matmul(cross, cross, precision="highest")
 
 
 @jax.jit

@@ -5,6 +5,8 @@ where the outlines are. Here each pixel that such a line crosses gets the mean o
 carry the derivative (`_boundaries.py`).
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -48,12 +50,14 @@ class AntialiasedSurface(eqx.Module):
         pixels, such as visibility and colours, is an image of that size; `resolve` makes a picture (h, w) of it.
     - `pixel`: (n,), the pixel that each boundary is in, row · width + column; h · w for none.
     - `area`: (n,), how much of the pixel's mean it moves from its left colour to its right one. It may be negative.
+    - `overflow`: whether there were more pieces than planned, so that the picture is wrong; none if that is an error.
     """
 
     surface: Surface
     pixel: Int[Array, " n"]
     area: Float[Array, " n"]
     resolution: Resolution = eqx.field(static=True)
+    overflow: Bool[Array, ""] | None = None
 
     @property
     def centres(self) -> Surface:
@@ -133,6 +137,7 @@ def draw_antialiased(
     plan: AntialiasPlan | None = None,
     *,
     cull: Cull = maps.ShadowMap.cull,
+    raises: bool = True,
 ) -> AntialiasedSurface:
     """The surface of `mesh` that `camera` sees at pixel centres and on both sides of outlines and creases.
 
@@ -140,6 +145,8 @@ def draw_antialiased(
 
     - `plan`: from `plan_antialiasing`; required under a trace.
     - `cull`: as for `rasterize`.
+    - `raises`: whether more pieces than planned are an error. Otherwise `overflow` says whether there are more: throw
+        such a surface away, and draw again with a larger plan.
 
     **Raises** `ValueError` without a plan under a trace, and a runtime error if there are more pieces than planned.
 
@@ -159,9 +166,12 @@ def draw_antialiased(
     clip = view.clip_vertices(mesh.vertices)
     centres, corners = rasterize_with_corners(clip, mesh.faces, resolution, cull=cull)
     drawn, pieces, mixed = _antialiased(mesh, camera.eye, view, centres.face, corners.face, clip, plan, cull)
+    overflow = (pieces > plan.pieces) | (mixed > plan.mixed)
+    if not raises:
+        return dataclasses.replace(drawn, overflow=overflow)
     return eqx.error_if(
         drawn,
-        (pieces > plan.pieces) | (mixed > plan.mixed),
+        overflow,
         f"the picture has memory for {plan.pieces} pieces of outlines and creases and for {plan.mixed} pixels that see "
         "two parts of the mesh, and there are more; expected memory for all: pass a plan with a greater margin",
     )

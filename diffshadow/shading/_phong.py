@@ -7,25 +7,21 @@ with the sum over the lights. Shadow removes the light's own contribution, and n
 linear.
 """
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._arithmetic import as_float, as_number, dot, normalize, safe_norm
+from .._arithmetic import as_number, dot, normalize, safe_norm
 from .._checks import CheckedModule
-from .._types import AsScalar, AsVec3, Vec3, VectorMap
+from .._types import AsScalar, VectorMap
 from ..geometry import AbstractCamera, AbstractLight
 from ..raster import Surface
 from ..settings import shading
 from ..settings.shading import INTENSITY, Highlight
 from ._abstract import AbstractShading, Lights, Visibilities, each_light
-
-
-def _colour(value: Any) -> Vec3:
-    value = as_number(value)
-    return as_float([value] * 3) if eqx.is_array(value) and not value.ndim else value
+from ._colour import Colour, as_colour
 
 
 class Attenuation(CheckedModule):
@@ -48,35 +44,36 @@ class Attenuation(CheckedModule):
 class Phong(AbstractShading):
     """Ambient, diffuse and specular reflection.
 
-    - `ambient`: (3,), light from all directions that nothing shadows; added once, whatever the number of lights.
-    - `intensity`: (3,), of each light: the colour of a white diffuse surface that faces the light. With several lights,
+    - `ambient`: light from all directions that nothing shadows; added once, whatever the number of lights.
+    - `intensity`: of each light: the colour of a white diffuse surface that faces the light. With several lights,
         divide it by their number to keep the brightness.
     - `specular`: fraction of the light that the highlight reflects; `shininess`: its exponent.
-    - `background`: (3,), colour of pixels without a surface.
+    - `background`: colour of pixels without a surface.
     - `attenuation`: with the distance to a light that is not directional.
     - `model`: `"blinn_phong"`, highlight (N·H)^shininess with H the half vector (Blinn 1977), or `"phong"`,
         (R·V)^shininess with R the reflected light direction (Phong 1975).
 
-    Colours are linear; give one number or three. A spot light with an inner angle lights only its cone.
+    Colours are linear; give one number or three. Each is kept as a `Colour`, whose `array` is (3,). A spot light with
+    an inner angle lights only its cone.
     """
 
     settings: ClassVar = shading.Phong
 
-    ambient: AsVec3 = eqx.field(converter=_colour, default=shading.Phong.ambient)
-    intensity: AsVec3 = eqx.field(converter=_colour, default=INTENSITY)
+    ambient: Colour = eqx.field(converter=as_colour, default=shading.Phong.ambient)
+    intensity: Colour = eqx.field(converter=as_colour, default=INTENSITY)
     specular: AsScalar = eqx.field(converter=as_number, default=shading.Phong.specular)
     shininess: AsScalar = eqx.field(converter=as_number, default=shading.Phong.shininess)
-    background: AsVec3 = eqx.field(converter=_colour, default=shading.Phong.background)
+    background: Colour = eqx.field(converter=as_colour, default=shading.Phong.background)
     attenuation: Attenuation = eqx.field(default_factory=Attenuation)
     model: Highlight = eqx.field(static=True, default=shading.Phong.model)
 
     def __call__(self, surface: Surface, visibility: Visibilities, light: Lights, camera: AbstractCamera) -> VectorMap:
         """The image of `surface`; arguments, result and errors are as for `AbstractShading`."""
         to_camera = _towards_camera(surface, camera)
-        image = surface.albedo * self.ambient
+        image = surface.albedo * self.ambient.array
         for seen, each in each_light(visibility, light):
             image = image + seen[..., None] * self._reflected(surface, each, to_camera)
-        return jnp.where(surface.mask[..., None], image, self.background)
+        return jnp.where(surface.mask[..., None], image, self.background.array)
 
     def _reflected(self, surface: Surface, light: AbstractLight, to_camera: VectorMap) -> VectorMap:
         """Diffuse and specular reflection of an unshadowed light."""
@@ -87,7 +84,7 @@ class Phong(AbstractShading):
         highlight = self._highlight(normal, to_light, to_camera)[..., None]
         # A surface that faces away from the light has no highlight either.
         reflected = surface.albedo * cosine + self.specular * jnp.where(cosine > 0, highlight, 0)
-        return self._fall_off(path, surface, light)[..., None] * self.intensity * reflected
+        return self._fall_off(path, surface, light)[..., None] * self.intensity.array * reflected
 
     def _highlight(self, normal: VectorMap, to_light: VectorMap, to_camera: VectorMap) -> Float[Array, "h w"]:
         if self.model == "blinn_phong":

@@ -1,6 +1,7 @@
 """What can be fitted: a technique, or an arrangement of lights and meshes as well."""
 
 from ._abstract import AbstractProblem as AbstractProblem
+from ._arranged import ArrangedProblem as ArrangedProblem
 from ._blur import REACH_OF_BLUR as REACH_OF_BLUR
 from ._blur import blurs_of as blurs_of
 from ._blur import check_falling as check_falling
@@ -11,6 +12,7 @@ from ._joint import check_problem as check_problem
 from ._joint import multiplied as multiplied
 from ._joint import products as products
 from ._joint import squares as squares
+from ._picture import PictureProblem as PictureProblem
 from ._pose import PoseProblem as PoseProblem
 from ._pose import cone_fraction as cone_fraction
 from ._shape import ShapeProblem as ShapeProblem

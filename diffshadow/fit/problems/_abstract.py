@@ -1,12 +1,12 @@
 """What a fit needs to know of a problem."""
 
 import abc
-from typing import Any
+from typing import Any, Self
 
 import equinox as eqx
 from jaxtyping import Array, Float
 
-from ..._types import Resolution, Scalar
+from ..._types import Resolution
 from ...shadow import FittableTechnique, Overflow
 from .._own_loss import Seen
 
@@ -30,8 +30,8 @@ class AbstractProblem(eqx.Module):
 
     @property
     @abc.abstractmethod
-    def count(self) -> Scalar:
-        """How many pixels count."""
+    def count(self) -> Float[Array, "*n"]:
+        """How many pixels of its image count, or of each of its images, such as the channels of a picture."""
 
     @property
     @abc.abstractmethod
@@ -48,10 +48,10 @@ class AbstractProblem(eqx.Module):
         """The technique of a subject."""
 
     @abc.abstractmethod
-    def difference(self, subject: Any) -> Float[Array, "h w"]:
-        """Visibility less reference at the pixels that count, 0 elsewhere."""
+    def difference(self, subject: Any) -> Float[Array, "*n h w"]:
+        """The image, or each of its images, less the reference at the pixels that count, 0 elsewhere."""
 
-    def difference_and_overflow(self, subject: Any) -> tuple[Float[Array, "h w"], Overflow | None]:
+    def difference_and_overflow(self, subject: Any) -> tuple[Float[Array, "*n h w"], Overflow | None]:
         """The difference, and instead of an error whether silhouettes are missing, so that it is wrong; none if nothing
         is drawn that could overflow."""
         return self.difference(subject), None
@@ -65,13 +65,13 @@ class AbstractProblem(eqx.Module):
         """The part of each difference that the fit makes small, such as its blur. Linear."""
 
     @abc.abstractmethod
-    def laid_out(self, subject: Any) -> "AbstractProblem":
+    def laid_out(self, subject: Any) -> Self:
         """With maps laid out as `subject` says, if they do not follow it in `difference`."""
 
     @abc.abstractmethod
-    def planned(self) -> "AbstractProblem":
+    def planned(self) -> Self:
         """With the memory that drawing needs under a trace."""
 
     @abc.abstractmethod
-    def padded(self) -> "AbstractProblem":
+    def padded(self) -> Self:
         """With its meshes padded to few sizes, so that problems of like size share compiled programs."""

@@ -155,7 +155,7 @@ class Joint(eqx.Module):
     @property
     def count(self) -> int:
         """How many pixels of all problems count."""
-        return sum(int(problem.count) for problem in self.problems)
+        return sum(int(np.sum(problem.count)) for problem in self.problems)
 
     def sampled(self, count: int, worst: Collection[int] = (), samples: Samples | None = None) -> "Joint":
         """With about `count` of the pixels of fits of a technique: as many of each, or three quarters of them of the
@@ -317,22 +317,25 @@ def check_problem(joint: Joint, parameters: Parameters) -> None:
     if annealed:
         raise ValueError(f"{annealed[0]} cannot be fitted, since the fit itself makes the compare harden; leave it out")
     for end in (parameters.lower, parameters.upper):
-        _check_allowed(joint.put(parameters, end).technique)
+        moved = joint.put(parameters, end)
+        _check_allowed("technique", moved.technique)
+        if (shading := getattr(moved.subject, "shading", None)) is not None:
+            _check_allowed("shading", shading)
         _check_layout(joint, parameters, end)
-    if not any(float(each.count) > 0 for each in joint.problems):
+    if not any(float(np.sum(each.count)) > 0 for each in joint.problems):
         raise ValueError(
             "no pixel sees a surface within the light's frustum, so there is nothing to fit; expected camera and "
             "light to see the same part of the scene: move one of them"
         )
 
 
-def _check_allowed(technique: FittableTechnique) -> None:
-    """Repeats the checks of the technique and its parts at an end of the bounds."""
+def _check_allowed(name: str, module: Any) -> None:
+    """Repeats the checks of a module and its parts at an end of the bounds."""
     try:
-        check_again(technique)
+        check_again(module)
     except ValueError as error:
         raise ValueError(
-            f"a parameter's bounds go further than the technique allows: {error}; narrow the bounds"
+            f"a parameter's bounds go further than the {name} allows: {error}; narrow the bounds"
         ) from error
 
 

@@ -1,8 +1,6 @@
 """Fits of lights and meshes: the map, and if need be the surface, are drawn again at every step."""
 
 import dataclasses
-from collections.abc import Sequence
-from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,26 +8,18 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..._arithmetic import as_float
-from ..._types import Resolution, Scalar, Visibility
-from ...geometry import AbstractCamera, AbstractLight, Edges, Mesh, Scene, View, merge
+from ..._types import Scalar, Visibility
+from ...geometry import AbstractLight, Edges, Mesh, Scene, merge
 from ...raster import Surface, draw_surface
 from ...reference import Reference
 from ...settings.fit import BLUR
-from ...shadow import MapSettings, Overflow, ShadowMap, ShadowMapping, plan_crossings
+from ...shadow import MapSettings, Overflow, ShadowMap, ShadowMapping
 from .._arrangement import Arrangement
 from .._own_loss import Seen
-from ._abstract import AbstractProblem
-from ._blur import blurred
-
-# The last phase's blur, in texels as the camera sees them, and the least in pixels: of suns and point lights over real
-# meshes, an image under it tells best where they are (`docs/experiments.md`).
-_LAST_BLUR = 0.7
-_MIN_BLUR = 1.0
-# There is memory for so many times the silhouettes' crossings at the start. If others need more, phases are repeated.
-_MORE_CROSSINGS = 4
+from ._arranged import ArrangedProblem, points_of, weighted_difference
 
 
-class PoseProblem(AbstractProblem):
+class PoseProblem(ArrangedProblem):
     """An arrangement, its target under one of its lights, and all that a fit leaves alone.
 
     - `arrangement`: whose numbers are fitted.
@@ -104,34 +94,9 @@ class PoseProblem(AbstractProblem):
         )
 
     @property
-    def moves(self) -> bool:
-        """True."""
-        return True
-
-    @property
-    def subject(self) -> Arrangement:
-        """What is fitted."""
-        return self.arrangement
-
-    def technique_of(self, subject: Arrangement) -> ShadowMapping:
-        """The arrangement's technique."""
-        return subject.technique
-
-    @property
-    def shape(self) -> Resolution:
-        """Height and width of its images, in pixels."""
-        height, width = self.reference.shape
-        return height, width
-
-    @property
     def count(self) -> Scalar:
         """How many pixels count."""
         return jnp.sum(self.weight)
-
-    @property
-    def blur_in_pixels(self) -> float:
-        """Standard deviation of the Gaussian under which differences are compared, in pixels."""
-        return float(self.blur)
 
     def image(self, shadow_map: ShadowMap, surface: Surface, technique: ShadowMapping) -> Visibility:
         """What is compared with the reference, (h, w): visibility times the cone's fraction."""
@@ -152,10 +117,6 @@ class PoseProblem(AbstractProblem):
         image = self.image(shadow_map, surface, subject.technique)
         return _seen(image, self.reference, self.weight), shadow_map.overflow
 
-    def compared(self, differences: Float[Array, "n h w"]) -> Float[Array, "n h w"]:
-        """The blur of each difference."""
-        return blurred(differences, self.blur)
-
     def draw(self, arrangement: Arrangement, *, raises: bool = True) -> tuple[ShadowMap, Surface]:
         """The map and the surface of an arrangement.
 
@@ -163,48 +124,28 @@ class PoseProblem(AbstractProblem):
         """
         casters, light, every = _arranged(self.scene, arrangement, self.index)
         surface = draw_surface(every, self.scene.camera) if self.surface is None else self.surface
-        light = arrangement.technique.layout.light(light, self.scene.camera, self.settings.resolution, surface)
-        how: dict[str, Any] = {"edges": self._edges(), "crossings": self.crossings, "raises": raises}
-        if self.shift is not None and light.view().has_even_texels:
-            how["shift"] = self.shift
-        return self.settings.draw(casters, light, **how), surface
-
-    @property
-    def sharpest(self) -> "PoseProblem":
-        """With the blur, no wider than its own, under which differences locate lights and meshes best once these are
-        nearly in place.
-
-        A narrower blur does not cancel the error that a texel makes in an outline; a wider one mixes outlines that move
-        differently.
-        """
-        scene = self.scene
-        texel = float(_texel_in_pixels(scene.light, scene.camera, _points(scene.meshes), self.settings.resolution))
-        return dataclasses.replace(self, blur=min(max(_LAST_BLUR * texel, _MIN_BLUR), self.blur_in_pixels))
+        technique, camera = arrangement.technique, self.scene.camera
+        return self.draw_map(casters, light, camera, technique, surface, self.crossings, raises=raises), surface
 
     def planned(self) -> "PoseProblem":
         """With memory for several times the silhouettes of its arrangement, and no less than before."""
-        edges = self._edges()
+        edges, camera = self.edges_of_casters(), self.scene.camera
         if edges is None:
             return self
         casters, light, every = _arranged(self.scene, self.arrangement, self.index)
-        layout, surface = self.arrangement.technique.layout, self.surface
-        if layout.needs_surface and surface is None:
-            surface = draw_surface(every, self.scene.camera)
-        light = layout.light(light, self.scene.camera, self.settings.resolution, surface)
-        needed = _MORE_CROSSINGS * plan_crossings(casters, light, self.settings.resolution, edges)
-        return dataclasses.replace(self, crossings=max(needed, self.crossings or 0), edges=edges)
+        surface = self.surface
+        if self.arrangement.technique.layout.needs_surface and surface is None:
+            surface = draw_surface(every, camera)
+        crossings = self.planned_crossings(casters, light, camera, surface, self.crossings)
+        return dataclasses.replace(self, crossings=crossings, edges=edges)
 
-    def laid_out(self, subject: Arrangement) -> "PoseProblem":
-        """The problem itself: maps are drawn at every step."""
-        return self
+    def with_memory_of(self, other: "PoseProblem") -> "PoseProblem":
+        """With as much memory for silhouettes as `other`."""
+        return dataclasses.replace(self, crossings=other.crossings, edges=other.edges)
 
     def padded(self) -> "PoseProblem":
-        """With its meshes padded to few sizes, so that problems of like size share compiled programs.
-
-        A mesh whose vertices are fitted one by one is not padded: the padding would not move with them.
-        """
-        own, poses = self.scene.meshes, self.arrangement.meshes
-        meshes = [mesh if pose.vertices else mesh.padded() for mesh, pose in zip(own, poses, strict=True)]
+        """With its meshes padded to few sizes, so that problems of like size share compiled programs."""
+        own, meshes = self.scene.meshes, self.padded_meshes()
         scene = dataclasses.replace(self.scene, meshes=meshes)
         if self.edges is None:
             return dataclasses.replace(self, scene=scene)
@@ -217,12 +158,7 @@ class PoseProblem(AbstractProblem):
 
     def _difference(self, subject: Arrangement, shadow_map: ShadowMap, surface: Surface) -> Float[Array, "h w"]:
         image = self.image(shadow_map, surface, subject.technique)
-        return _weighted_difference(image, self.reference, self.weight)
-
-    def _edges(self) -> Edges | None:
-        if not self.settings.silhouettes:
-            return None
-        return Edges.of(self.scene.casters) if self.edges is None else self.edges
+        return weighted_difference(image, self.reference, self.weight)
 
 
 # These are compiled on their own, so that a drawing outside of `jit` shares programs with all others.
@@ -230,7 +166,7 @@ class PoseProblem(AbstractProblem):
 def _arranged(scene: Scene, arrangement: Arrangement, index: int) -> tuple[Mesh, AbstractLight, Mesh]:
     """What casts, the light, and all meshes, as they are arranged."""
     meshes = [pose.placed(mesh) for pose, mesh in zip(arrangement.meshes, scene.meshes, strict=True)]
-    light = scene.light.at(arrangement.lights[index]).refitted(_points(meshes))
+    light = scene.light.at(arrangement.lights[index]).refitted(points_of(meshes))
     return dataclasses.replace(scene, meshes=meshes).casters, light, merge(meshes)
 
 
@@ -240,31 +176,6 @@ def _seen(image: Visibility, reference: Visibility, weight: Float[Array, "h w"])
 
 
 @eqx.filter_jit
-def _weighted_difference(image: Visibility, reference: Visibility, weight: Float[Array, "h w"]) -> Float[Array, "h w"]:
-    counts = weight > 0
-    root = jnp.sqrt(jnp.where(counts, weight, 1))
-    return jnp.where(counts, (image - reference) * root, 0)
-
-
-@eqx.filter_jit
 def cone_fraction(light: AbstractLight, surface: Surface) -> Float[Array, "h w"]:
     """The fraction of the light that its cone lets through to each pixel, (h, w); 1 where there is no surface."""
     return jnp.where(surface.mask, light.cone_fraction(surface.position), 1)
-
-
-@eqx.filter_jit
-def _texel_in_pixels(
-    light: AbstractLight, camera: AbstractCamera, points: Float[Array, "n 3"], resolution: Resolution
-) -> Scalar:
-    """How many pixels wide a map's texel is at half of the points, or more."""
-
-    def width(view: View, resolution: Resolution) -> Float[Array, " n"]:
-        distance = view.distance(points)
-        return view.texel_size(jnp.maximum(distance, view.near) if view.is_perspective else distance, resolution)
-
-    from_light = light.view().facing(light.layer(points))
-    return jnp.median(width(from_light, resolution) / width(camera.view(), camera.resolution))
-
-
-def _points(meshes: Sequence[Mesh]) -> Float[Array, "n 3"]:
-    return jnp.concatenate([mesh.vertices for mesh in meshes])

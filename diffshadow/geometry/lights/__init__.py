@@ -6,6 +6,5 @@ from ._directional import DirectionalLight as DirectionalLight
 from ._matrix import MatrixLight as MatrixLight
 from ._point import PointLight as PointLight
 from ._pose import LightPose as LightPose
-from ._pose import Vector as Vector
 from ._rectangle import RectangleLight as RectangleLight
 from ._spot import SpotLight as SpotLight

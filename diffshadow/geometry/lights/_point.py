@@ -16,10 +16,11 @@ from ..._types import AsScalar, AsVec3, Resolution, Scalar, Vec3
 from ...settings.scene import PointLight as Settings
 from .._camera import check_near_far
 from .._transforms import perspective, tangents
+from .._vector import Vector
 from .._view import View
 from ._abstract import AbstractLight, Domain, check_position
 from ._frustum import near_far
-from ._pose import LightPose, Vector
+from ._pose import LightPose
 
 # The faces' view directions, in OpenGL's order, and their up vectors, as for a spot light that looks the same
 # way.

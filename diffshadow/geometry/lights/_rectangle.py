@@ -10,10 +10,11 @@ from jaxtyping import Array, Float
 from ..._arithmetic import as_float, as_number
 from ..._types import AsScalar, AsVec2, AsVec3, Vec2, Vec3
 from ...settings.scene import RectangleLight as Settings
+from .._vector import Vector
 from .._view import View
 from ._abstract import AbstractLight, Domain, check_direction, check_position
 from ._frustum import LightFrustum, check_frustum, frustum_view, on_plane
-from ._pose import LightPose, Vector
+from ._pose import LightPose
 
 
 class RectangleLight(AbstractLight):

@@ -12,10 +12,11 @@ from ..._arithmetic import as_float, as_number, dot, normalize
 from ..._types import AsOptional, AsScalar, AsVec3, Vec3
 from ...settings.scene import UP
 from ...settings.scene import SpotLight as Settings
+from .._vector import Vector
 from .._view import View
 from ._abstract import AbstractLight, Domain, check_direction, check_position
 from ._frustum import LightFrustum, check_frustum, distances_along, frustum_view, on_plane
-from ._pose import LightPose, Vector, angles
+from ._pose import LightPose, angles
 
 
 class SpotLight(AbstractLight):

@@ -11,7 +11,7 @@ from ..._arithmetic import as_float
 from ..._types import HostArray
 from ...config import Config, build_shading
 from ...settings.shading import INTENSITY
-from ...shading import Phong
+from ...shading import Phong, to_srgb
 from .._drawn import Drawn
 
 Pictures = dict[str, UInt8[HostArray, "h w 3"]]
@@ -43,7 +43,7 @@ def shade_lit(
         linear = _shaded_antialiased(shading, drawn, seen, lights, scene.camera)
     else:
         linear = _shaded(shading, surface, seen, lights, scene.camera)
-    return _to_srgb(np.clip(np.asarray(linear, dtype=np.float64), 0, 1))
+    return to_srgb(np.clip(np.asarray(linear, dtype=np.float64), 0, 1))
 
 
 def perceptual_error(
@@ -61,8 +61,3 @@ def perceptual_error(
 
 _shaded = eqx.filter_jit(lambda shading, *args: shading(*args))
 _shaded_antialiased = eqx.filter_jit(lambda shading, *args: shading.antialiased(*args))
-
-
-def _to_srgb(linear: Float[HostArray, "h w 3"]) -> Float[HostArray, "h w 3"]:
-    """The transfer function of sRGB (IEC 61966-2-1)."""
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)

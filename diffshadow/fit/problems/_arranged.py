@@ -1,0 +1,179 @@
+"""What fits of arrangements share: lights and meshes move, and images are compared under a blur."""
+
+import abc
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, Self
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..._types import Resolution, Scalar
+from ...geometry import AbstractCamera, AbstractLight, Edges, Mesh, Scene, View
+from ...raster import Surface
+from ...shadow import MapSettings, Overflow, ShadowMap, ShadowMapping, plan_crossings
+from .._arrangement import Arrangement
+from ._abstract import AbstractProblem
+from ._blur import blurred
+
+# The last phase's blur, in texels as the camera sees them, and the least in pixels: of suns and point lights over real
+# meshes, an image under it tells best where they are (`docs/experiments.md`).
+_LAST_BLUR = 0.7
+_MIN_BLUR = 1.0
+# There is memory for so many times the silhouettes' crossings at the start. If others need more, phases are repeated.
+_MORE_CROSSINGS = 4
+
+
+class ArrangedProblem(AbstractProblem):
+    """A problem whose subject is an `Arrangement`: what moves is drawn again at every step.
+
+    - `arrangement`: whose numbers are fitted.
+    - `scene`: meshes, camera and lights as they stand before the arrangement moves them.
+    - `weight`: (h, w), how much each pixel counts; 0 or 1, or between where it stands for several.
+    - `settings`: how maps are drawn. Only with silhouettes do derivatives see the shadow's outline move.
+    - `edges`: of the casters. `planned` finds them if the settings ask for silhouettes.
+    - `blur`: standard deviation, in pixels, of the Gaussian under which differences are compared; 0 for none. It should
+        cover a texel of the map as the camera sees it.
+    - `shift`: (2,), how far the maps' grids of texels are moved, as for `draw_shadow_map`; none to leave them in place.
+        Maps with a warp, with pages or with cascades of several sizes have no such grid, and are drawn without.
+    """
+
+    arrangement: eqx.AbstractVar[Arrangement]
+    scene: eqx.AbstractVar[Scene]
+    weight: eqx.AbstractVar[Float[Array, "h w"]]
+    settings: eqx.AbstractVar[MapSettings]
+    edges: eqx.AbstractVar[Edges | None]
+    blur: eqx.AbstractVar[Scalar]
+    shift: eqx.AbstractVar[Float[Array, "2"] | None]
+
+    @property
+    def moves(self) -> bool:
+        """True."""
+        return True
+
+    @property
+    def subject(self) -> Arrangement:
+        """What is fitted."""
+        return self.arrangement
+
+    def technique_of(self, subject: Arrangement) -> ShadowMapping:
+        """The arrangement's technique."""
+        return subject.technique
+
+    @property
+    def shape(self) -> Resolution:
+        """Height and width of its images, in pixels."""
+        height, width = self.weight.shape
+        return height, width
+
+    @property
+    def blur_in_pixels(self) -> float:
+        """Standard deviation of the Gaussian under which differences are compared, in pixels."""
+        return float(self.blur)
+
+    def compared(self, differences: Float[Array, "n h w"]) -> Float[Array, "n h w"]:
+        """The blur of each difference."""
+        return blurred(differences, self.blur)
+
+    def laid_out(self, subject: Arrangement) -> Self:
+        """The problem itself: maps are drawn at every step."""
+        return self
+
+    @abc.abstractmethod
+    def with_memory_of(self, other: Any) -> Self:
+        """With as much memory for silhouettes as `other`, a problem of the same kind."""
+
+    @property
+    def sharpest(self) -> Self:
+        """With the blur, no wider than its own, under which differences locate lights and meshes best once these are
+        nearly in place.
+
+        A narrower blur does not cancel the error that a texel makes in an outline; a wider one mixes outlines that move
+        differently.
+        """
+        scene, points = self.scene, points_of(self.scene.meshes)
+        texel = max(
+            float(_texel_in_pixels(light, scene.camera, points, self.settings.resolution)) for light in scene.lights
+        )
+        return dataclasses.replace(self, blur=min(max(_LAST_BLUR * texel, _MIN_BLUR), self.blur_in_pixels))
+
+    def draw_map(
+        self,
+        casters: Mesh,
+        light: AbstractLight,
+        camera: AbstractCamera,
+        technique: ShadowMapping,
+        surface: Surface | None,
+        crossings: int | None,
+        *,
+        raises: bool,
+    ) -> ShadowMap:
+        """The map of `casters` under an arranged `light`.
+
+        **Arguments:** `camera` and `surface`: what a layout looks at; `crossings`, `raises` as for `draw_shadow_map`.
+        """
+        light = technique.layout.light(light, camera, self.settings.resolution, surface)
+        how: dict[str, Any] = {"edges": self.edges_of_casters(), "crossings": crossings, "raises": raises}
+        if self.shift is not None and light.view().has_even_texels:
+            how["shift"] = self.shift
+        return self.settings.draw(casters, light, **how)
+
+    def planned_crossings(
+        self, casters: Mesh, light: AbstractLight, camera: AbstractCamera, surface: Surface | None, before: int | None
+    ) -> int:
+        """Memory for several times the silhouettes of a map, and no less than `before`."""
+        edges, layout = self.edges_of_casters(), self.arrangement.technique.layout
+        assert edges is not None
+        light = layout.light(light, camera, self.settings.resolution, surface)
+        needed = _MORE_CROSSINGS * plan_crossings(casters, light, self.settings.resolution, edges)
+        return max(needed, before or 0)
+
+    def edges_of_casters(self) -> Edges | None:
+        """The casters' edges if maps have silhouettes."""
+        if not self.settings.silhouettes:
+            return None
+        return Edges.of(self.scene.casters) if self.edges is None else self.edges
+
+    def padded_meshes(self) -> list[Mesh]:
+        """The scene's meshes padded to few sizes, so that problems of like size share compiled programs.
+
+        A mesh whose vertices are fitted one by one is not padded: the padding would not move with them.
+        """
+        pairs = zip(self.scene.meshes, self.arrangement.meshes, strict=True)
+        return [mesh if pose.vertices else mesh.padded() for mesh, pose in pairs]
+
+
+def any_overflow(found: Sequence[Overflow | None]) -> Overflow | None:
+    """Whether memory was short in any of several drawings; none if none of them can tell."""
+    known = [each for each in found if each is not None]
+    return jnp.any(jnp.stack(known)) if known else None
+
+
+@eqx.filter_jit
+def weighted_difference(
+    image: Float[Array, "*n h w"], reference: Float[Array, "*n h w"], weight: Float[Array, "h w"]
+) -> Float[Array, "*n h w"]:
+    """The image less the reference, times the square root of each pixel's weight; 0 where that is 0."""
+    counts = weight > 0
+    root = jnp.sqrt(jnp.where(counts, weight, 1))
+    return jnp.where(counts, (image - reference) * root, 0)
+
+
+def points_of(meshes: Sequence[Mesh]) -> Float[Array, "n 3"]:
+    """The vertices of all meshes."""
+    return jnp.concatenate([mesh.vertices for mesh in meshes])
+
+
+@eqx.filter_jit
+def _texel_in_pixels(
+    light: AbstractLight, camera: AbstractCamera, points: Float[Array, "n 3"], resolution: Resolution
+) -> Scalar:
+    """How many pixels wide a map's texel is at half of the points, or more."""
+
+    def width(view: View, resolution: Resolution) -> Float[Array, " n"]:
+        distance = view.distance(points)
+        return view.texel_size(jnp.maximum(distance, view.near) if view.is_perspective else distance, resolution)
+
+    from_light = light.view().facing(light.layer(points))
+    return jnp.median(width(from_light, resolution) / width(camera.view(), camera.resolution))

@@ -1,0 +1,234 @@
+"""Fits to a picture: what is compared is the shaded, antialiased image of a scene."""
+
+import dataclasses
+from typing import Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from ..._arithmetic import as_float
+from ..._types import Scalar
+from ...geometry import AbstractCamera, AbstractLight, Edges, Mesh, Scene
+from ...raster import AntialiasedSurface, AntialiasPlan, draw_antialiased, plan_antialiasing
+from ...settings.fit import BLUR
+from ...shading import AbstractShading, Phong, to_srgb
+from ...shadow import MapSettings, Overflow, ShadowMap, ShadowMapping
+from .._arrangement import Arrangement
+from .._own_loss import Seen
+from ._arranged import ArrangedProblem, any_overflow, weighted_difference
+
+Encoding = Literal["linear", "srgb"]
+"""What the numbers of a picture are: linear colours, or colours of sRGB from 0 to 1."""
+
+# There is memory for so many times the outlines' pieces at the start. If others need more, phases are repeated.
+_MORE_PIECES = 2.0
+
+
+class PictureProblem(ArrangedProblem):
+    """An arrangement, a picture of the scene lit by all of its lights, and all that a fit leaves alone.
+
+    Paths lead to numbers of camera, lights, meshes, colours and technique: `camera.turn.y`, `lights.0.azimuth`,
+    `meshes.0.albedo.red`, `shading.intensity.green`, `exposure`. The three channels are compared as three images.
+
+    - `arrangement`: whose numbers are fitted.
+    - `scene`: meshes, camera and lights as they stand before the arrangement moves them.
+    - `reference`: (h, w, 3), the picture.
+    - `weight`: (h, w), how much each pixel counts; 0 or 1, or between where it stands for several.
+    - `encoding`: of the reference. What is drawn is encoded alike: as sRGB, it is cut off beyond 0 and 1.
+    - `settings`: how maps are drawn. Only with silhouettes do derivatives see the shadow's outline move.
+    - `surface`: what the camera sees; none to draw it again at every step, which is needed where camera or meshes move
+        or change their colour.
+    - `plan`: as for `draw_antialiased`; `crossings`: of each light's map, as for `draw_shadow_map`. `planned` finds
+        both.
+    - `edges`, `blur`, `shift`: as for `PoseProblem`.
+
+    !!! Example
+
+        ```python
+        problem = fit.PictureProblem.of(scene, technique, np.zeros((32, 32, 3)))
+        turn = fit.Parameter("camera.turn.y", 0.0, -5.0, 5.0, unit="degrees")
+        ```
+    """
+
+    arrangement: Arrangement
+    scene: Scene
+    reference: Float[Array, "h w 3"]
+    weight: Float[Array, "h w"]
+    encoding: Encoding = eqx.field(static=True, default="linear")
+    settings: MapSettings = eqx.field(static=True, default=MapSettings(silhouettes=True))
+    surface: AntialiasedSurface | None = None
+    plan: AntialiasPlan | None = None
+    crossings: tuple[int, ...] | None = eqx.field(static=True, default=None)
+    edges: Edges | None = None
+    blur: Scalar = eqx.field(converter=as_float, default=BLUR)
+    shift: Float[Array, "2"] | None = None
+
+    @classmethod
+    def of(
+        cls,
+        scene: Scene,
+        technique: ShadowMapping,
+        picture: Float[Array | np.ndarray, "h w 3"],
+        *,
+        shading: AbstractShading | None = None,
+        mask: Bool[Array | np.ndarray, "h w"] | None = None,
+        encoding: Encoding = "linear",
+        arrangement: Arrangement | None = None,
+        surface: AntialiasedSurface | None = None,
+    ) -> "PictureProblem":
+        """A scene, against a picture.
+
+        **Arguments:**
+
+        - `technique`: its `map` says how maps are drawn; with silhouettes unless it sets them to `False`.
+        - `picture`: (h, w, 3), as large as the camera's image. Row 0 is the bottom row.
+        - `shading`: of the scene; the default one of `Phong` if left out.
+        - `mask`: (h, w), the pixels that count; all if left out.
+        - `encoding`: of the picture.
+        - `arrangement`: what is fitted, if not all as it stands in the scene.
+        - `surface`: what the camera sees, if neither it nor meshes move or change their colour. Left out, it is drawn
+            again at every step.
+
+        **Raises** `ValueError` for a picture of another size, or that is not finite where it counts.
+        """
+        height, width = scene.camera.resolution
+        reference, counts = as_float(picture), np.ones((height, width), bool) if mask is None else np.asarray(mask)
+        if reference.shape != (height, width, 3) or counts.shape != (height, width):
+            raise ValueError(
+                f"the picture has shape {reference.shape}, and the mask {counts.shape}; expected {height} rows and "
+                f"{width} columns, as the camera's resolution, and three channels in the picture: resize them, or "
+                "change the camera's resolution"
+            )
+        if not np.isfinite(np.asarray(reference)[counts]).all():
+            raise ValueError("the picture has pixels that are not finite; expected numbers: mask them out")
+        given = Arrangement.of_picture(technique, scene, shading or Phong()) if arrangement is None else arrangement
+        problem = cls(
+            arrangement=given,
+            scene=scene,
+            reference=jnp.where(counts[..., None], reference, 0),
+            weight=as_float(counts),
+            encoding=encoding,
+            settings=dataclasses.replace(technique.map, silhouettes=technique.map.silhouettes is not False),
+            surface=surface,
+        )
+        # Now rather than in `padded`: edges then need no other numbers.
+        return dataclasses.replace(problem, scene=dataclasses.replace(scene, meshes=problem.padded_meshes()))
+
+    @property
+    def count(self) -> Float[Array, "3"]:
+        """How many pixels of each channel count."""
+        return jnp.broadcast_to(jnp.sum(self.weight), 3)
+
+    def difference(self, subject: Arrangement) -> Float[Array, "3 h w"]:
+        """Each channel of the picture less the reference's, times the square root of the pixel's weight."""
+        return weighted_difference(_channels(self.picture(subject)), _channels(self.reference), self.weight)
+
+    def difference_and_overflow(self, subject: Arrangement) -> tuple[Float[Array, "3 h w"], Overflow | None]:
+        """The difference, and instead of an error whether outlines or silhouettes are missing."""
+        maps, seen, camera = self.draw(subject, raises=False)
+        image = _channels(self.image(maps, seen, camera, subject))
+        return weighted_difference(image, _channels(self.reference), self.weight), _overflow(maps, seen)
+
+    def seen(self, subject: Arrangement) -> tuple[Seen, Overflow | None]:
+        """What a user's loss compares, three channels, and whether outlines or silhouettes are missing."""
+        maps, seen, camera = self.draw(subject, raises=False)
+        image = _channels(self.image(maps, seen, camera, subject))
+        mask = jnp.broadcast_to(self.weight > 0, image.shape)
+        return Seen.of(image, _channels(self.reference), mask), _overflow(maps, seen)
+
+    def picture(self, arrangement: Arrangement) -> Float[Array, "h w 3"]:
+        """The picture of an arrangement, encoded as the reference.
+
+        **Raises** a runtime error if there are more outlines or silhouettes than `planned` has memory for.
+        """
+        return self.image(*self.draw(arrangement), arrangement)
+
+    def image(
+        self, maps: list[ShadowMap], seen: AntialiasedSurface, camera: AbstractCamera, arrangement: Arrangement
+    ) -> Float[Array, "h w 3"]:
+        """The picture of an arrangement that has been drawn."""
+        visibility = [arrangement.technique.visibility(each, seen.surface) for each in maps]
+        return _shaded(arrangement, seen, visibility, [each.light for each in maps], camera, self.encoding)
+
+    def draw(
+        self, arrangement: Arrangement, *, raises: bool = True
+    ) -> tuple[list[ShadowMap], AntialiasedSurface, AbstractCamera]:
+        """The maps of all lights, what the camera sees, and the camera.
+
+        **Arguments:** `raises` as for `draw_shadow_map`.
+        """
+        casters, lights, every, camera = _arranged(self.scene, arrangement)
+        seen = self.surface
+        if seen is None:
+            seen = draw_antialiased(every, camera, self.plan, raises=raises)
+        crossings = (None,) * len(lights) if self.crossings is None else self.crossings
+        maps = [
+            self.draw_map(casters, light, camera, arrangement.technique, seen.centres, most, raises=raises)
+            for light, most in zip(lights, crossings, strict=True)
+        ]
+        return maps, seen, camera
+
+    def planned(self) -> "PictureProblem":
+        """With memory for several times the outlines and silhouettes of its arrangement, and no less than before."""
+        casters, lights, every, camera = _arranged(self.scene, self.arrangement)
+        edges, plan, seen = self.edges_of_casters(), self.plan, self.surface
+        if seen is None:
+            plan = _larger(plan_antialiasing(every, camera, margin=_MORE_PIECES), self.plan)
+            seen = draw_antialiased(every, camera, plan)
+        planned = dataclasses.replace(self, plan=plan, edges=edges)
+        if edges is None:
+            return planned
+        before = (None,) * len(lights) if self.crossings is None else self.crossings
+        crossings = [
+            self.planned_crossings(casters, light, camera, seen.centres, most)
+            for light, most in zip(lights, before, strict=True)
+        ]
+        return dataclasses.replace(planned, crossings=tuple(crossings))
+
+    def with_memory_of(self, other: "PictureProblem") -> "PictureProblem":
+        """With as much memory for outlines and silhouettes as `other`."""
+        return dataclasses.replace(self, plan=other.plan, crossings=other.crossings, edges=other.edges)
+
+    def padded(self) -> "PictureProblem":
+        """The problem itself, whose meshes `of` has padded."""
+        return self
+
+
+def _larger(plan: AntialiasPlan, before: AntialiasPlan | None) -> AntialiasPlan:
+    if before is None:
+        return plan
+    return dataclasses.replace(plan, pieces=max(plan.pieces, before.pieces), mixed=max(plan.mixed, before.mixed))
+
+
+def _overflow(maps: list[ShadowMap], seen: AntialiasedSurface) -> Overflow | None:
+    return any_overflow([seen.overflow, *(each.overflow for each in maps)])
+
+
+def _channels(image: Float[Array, "h w 3"]) -> Float[Array, "3 h w"]:
+    return jnp.moveaxis(image, -1, 0)
+
+
+# These are compiled on their own, so that a drawing outside of `jit` shares programs with all others.
+@eqx.filter_jit
+def _arranged(scene: Scene, arrangement: Arrangement) -> tuple[Mesh, list[AbstractLight], Mesh, AbstractCamera]:
+    """What casts, the lights, all meshes, and the camera, as they are arranged."""
+    placed = arrangement.placed(scene)
+    return placed.casters, list(placed.lights), placed.mesh, placed.camera
+
+
+@eqx.filter_jit
+def _shaded(
+    arrangement: Arrangement,
+    seen: AntialiasedSurface,
+    visibility: list[Array],
+    lights: list[AbstractLight],
+    camera: AbstractCamera,
+    encoding: Encoding,
+) -> Float[Array, "h w 3"]:
+    assert arrangement.shading is not None
+    linear = arrangement.shading.antialiased(seen, visibility, lights, camera)
+    if arrangement.exposure is not None:
+        linear = linear * 2**arrangement.exposure
+    return to_srgb(jnp.clip(linear, 0, 1)) if encoding == "srgb" else linear

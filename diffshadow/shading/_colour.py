@@ -1,0 +1,32 @@
+"""Colours whose components can be fitted one by one."""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from .._arithmetic import as_number
+from .._types import AsScalar, Vec3
+
+
+class Colour(eqx.Module):
+    """A linear colour, whose three numbers can be fitted separately."""
+
+    red: AsScalar = eqx.field(converter=as_number)
+    green: AsScalar = eqx.field(converter=as_number)
+    blue: AsScalar = eqx.field(converter=as_number)
+
+    @property
+    def array(self) -> Vec3:
+        """All three, (3,)."""
+        return jnp.stack([self.red, self.green, self.blue])
+
+
+def as_colour(value: Any) -> Any:
+    """A `Colour` of one number, or of three; anything else as it is."""
+    if isinstance(value, Colour):
+        return value
+    if np.ndim(value) == 0 and not isinstance(value, str):
+        return Colour(value, value, value)
+    return Colour(*value) if np.shape(value) == (3,) else value
