@@ -110,12 +110,17 @@ class Arrangement(eqx.Module):
         return cls(technique, tuple(light.pose() for light in lights), tuple(poses))
 
     @classmethod
-    def of_picture(cls, technique: ShadowMapping, scene: Scene, shading: AbstractShading) -> "Arrangement":
+    def of_picture(
+        cls, technique: ShadowMapping, scene: Scene, shading: AbstractShading, exposure: float = 0.0
+    ) -> "Arrangement":
         """Everything in a picture of `scene` as it stands. Meshes of one colour have an `albedo`."""
         is_plain = [bool((np.asarray(mesh.albedo) == np.asarray(mesh.albedo)[0]).all()) for mesh in scene.meshes]
         meshes = [MeshPose.of(mesh, coloured=plain) for mesh, plain in zip(scene.meshes, is_plain, strict=True)]
-        plain = cls.of(technique, scene.lights, meshes)
-        return dataclasses.replace(plain, camera=scene.camera.pose(), shading=shading, exposure=as_float(0.0))
+        return cls.of(technique, scene.lights, meshes).pictured(scene, shading, exposure)
+
+    def pictured(self, scene: Scene, shading: AbstractShading, exposure: float = 0.0) -> "Arrangement":
+        """With what only pictures of `scene` show: the camera's pose, the `shading`, and the `exposure` in stops."""
+        return dataclasses.replace(self, camera=scene.camera.pose(), shading=shading, exposure=as_float(exposure))
 
     def placed(self, scene: Scene) -> Scene:
         """`scene`, whose lights, meshes and camera the arrangement is of, as they are arranged.

@@ -17,7 +17,7 @@ result, and the last phase once more.
 
 import dataclasses
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Float
@@ -131,10 +131,11 @@ def _blurred(joint: Joint, blur: float) -> Joint:
 def enlarged(joint: Joint, parameters: Parameters, values: Float[Array, "k p"]) -> Joint:
     """With memory for several times the silhouettes at each row of `values` (k, p)."""
 
-    def grown(problem: ArrangedProblem) -> ArrangedProblem:
+    def grown(problem: ArrangedProblem) -> AbstractProblem:
         for there in values:
             moved = dataclasses.replace(problem, arrangement=parameters.put(problem.arrangement, there))
-            problem = dataclasses.replace(moved.planned(), arrangement=problem.arrangement)
+            planned: Any = moved.planned()
+            problem = dataclasses.replace(planned, arrangement=problem.arrangement)
         return problem
 
     return joint.each(grown)

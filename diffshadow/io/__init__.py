@@ -11,7 +11,7 @@ from ._cache import cached_arrays as cached_arrays
 from ._cache import programs_folder as programs_folder
 from ._cache import prune_cache as prune_cache
 from ._errors import FileError, FileWarning, ImageWarning, MeshWarning
-from ._images import read_visibility, write_animation, write_png, write_visibility
+from ._images import read_picture, read_visibility, write_animation, write_png, write_visibility
 from ._meshes import coarse_steps as coarse_steps
 from ._meshes import load_mesh
 from ._paths import existing_file as existing_file
@@ -37,6 +37,7 @@ __all__ = [
     "clear_cache",
     "keep_compiled_programs",
     "load_mesh",
+    "read_picture",
     "read_scene",
     "read_visibility",
     "write_animation",

@@ -13,7 +13,7 @@ from jaxtyping import Float32
 
 from .._types import HostArray
 from ._errors import FileError
-from ._pixels import Pixels, check_size, mean_colour, upright
+from ._pixels import Merge, Pixels, check_size, mean_colour, upright
 from ._text import listed
 
 _DEEP = (OpenEXR.deepscanline, OpenEXR.deeptile)
@@ -32,8 +32,8 @@ class _Chosen(NamedTuple):
     alpha: str
 
 
-def read_exr(file: Path) -> Pixels:
-    """Reads the channel `Y`, the mean of `R`, `G` and `B`, or the only channel, within the display window.
+def read_exr(file: Path, merge: Merge = mean_colour) -> Pixels:
+    """Reads the channel `Y`, what `merge` makes of `R`, `G` and `B`, or the only channel, within the display window.
 
     **Raises** `FileError` if none of these is there for every pixel of the window, and other errors if the file is
     damaged.
@@ -63,7 +63,7 @@ def read_exr(file: Path) -> Pixels:
     if alpha is not None:
         colours = _without_alpha(colours, alpha, remarks)
     orientation = header.get("Orientation", header.get("orientation", 1))
-    values = mean_colour(colours, remarks)
+    values = merge(colours, remarks)
     return Pixels(upright(values, orientation if isinstance(orientation, int) else 1)[::-1], remarks)
 
 
@@ -105,7 +105,7 @@ def _choose(file: Path, headers: Sequence[Mapping[str, Any]]) -> _Chosen:
     if len(headers) > 1:
         parts = [f"{names} in its part {_part(headers, i)}" for i, names in enumerate(parts)]
     raise FileError(
-        f"the visibility file {file} has the channels {', '.join(parts)}; expected Y, or R, G and B, or only one"
+        f"the image file {file} has the channels {', '.join(parts)}; expected Y, or R, G and B, or only one"
     )
 
 
@@ -143,7 +143,7 @@ def _within(file: Path, header: Mapping[str, Any]) -> tuple[slice, slice]:
     if (low > first).any() or (high < last).any():
         shown = lambda start, end: f"{tuple(start.tolist())} to {tuple(end.tolist())}"
         raise FileError(
-            f"the visibility file {file} has no pixels for a part of its picture: its dataWindow is from "
+            f"the image file {file} has no pixels for a part of its picture: its dataWindow is from "
             f"{shown(low, high)}, its displayWindow from {shown(first, last)}; expected a dataWindow that covers the "
             "displayWindow: write the whole picture, or set its displayWindow to what it shows"
         )
@@ -165,7 +165,7 @@ def _check(file: Path, header: Mapping[str, Any], names: Sequence[str]) -> None:
                 "expected one for each pixel: write it without subsampling"
             )
     if fault is not None:
-        raise FileError(f"the visibility file {file} {fault}")
+        raise FileError(f"the image file {file} {fault}")
 
 
 def _without_alpha(

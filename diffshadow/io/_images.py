@@ -13,15 +13,16 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from PIL import Image
+from PIL import Image, ImageOps
 
 from .._types import HostArray
+from ..settings.reference import Encoding
 from ._arrays import read_header
 from ._atomic import atomic_path
 from ._errors import FileError, ImageWarning
 from ._exr import read_exr, write_exr
 from ._paths import existing_file
-from ._pixels import Pixels
+from ._pixels import Pixels, check_size, three_colours
 from ._png import read_png, write_levels
 
 # How animations are written, by suffix.
@@ -44,6 +45,8 @@ _SIGNATURES = {
     b"#?RADIANCE": ".hdr",
     b"PK\x03\x04": ".npz or .zip",
 }
+# What a PNG file may say of its encoding where sRGB is expected.
+_SRGB = (None, "sRGB", "gAMA, of the exponent 0.45455")
 # A mean of values in [0, 1] may leave the interval by this much through rounding.
 _ROUNDING = 1e-5
 
@@ -85,7 +88,41 @@ def read_visibility(path: str | os.PathLike[str]) -> Float[HostArray, "h w"]:
     no pixels for a part of it, or values that are NaN or outside [0, 1].
     """
     file = existing_file(path, "visibility")
-    read = _for_suffix(file, _READERS)
+    pixels = _read(file, _for_suffix(file, _READERS))
+    if pixels.ndim != 2 or pixels.size == 0:
+        raise FileError(f"the image file {file} holds an array of shape {pixels.shape}; expected (h, w)")
+    return _in_unit_range(pixels, f"the image file {file}", FileError)
+
+
+def read_picture(path: str | os.PathLike[str]) -> tuple[Float[HostArray, "h w 3"], Encoding]:
+    """Reads a picture in colour from a `.npy`, `.png`, `.jpg` or `.exr` file.
+
+    - `.npy`: an (h, w, 3) array, linear, whose row 0 is the bottom row.
+    - `.png`, `.jpg`: sRGB from 0 to 1, whatever the file says of its colours.
+    - `.exr`: the channels `R`, `G` and `B`, or one channel of grey, linear; otherwise as for `read_visibility`.
+
+    **Returns:** (h, w, 3), float32, as it is stored, row 0 the bottom row; and its encoding.
+
+    **Warns** with `ImageWarning` as `read_visibility` does.
+
+    **Raises** `FileError` if the file is missing, damaged or has another format, if it holds anything but one image, or
+    values that are NaN or infinite.
+    """
+    file = existing_file(path, "picture")
+    read, encoding = _for_suffix(file, _PICTURES)
+    with np.errstate(over="ignore"):  # values beyond float32 become infinite, which is checked below
+        pixels = _read(file, read).astype(np.float32)
+    if pixels.ndim != 3 or pixels.shape[-1] != 3 or pixels.size == 0:
+        raise FileError(f"the image file {file} holds an array of shape {pixels.shape}; expected (h, w, 3)")
+    if not np.isfinite(pixels).all():
+        raise FileError(
+            f"the image file {file} has {np.count_nonzero(~np.isfinite(pixels))} values that are not finite"
+        )
+    return pixels, encoding
+
+
+def _read(file: Path, read: Callable[[Path], Pixels]) -> HostArray:
+    """The pixels of a file. Remarks become warnings."""
     try:
         _check_signature(file)
         pixels, remarks = read(file)
@@ -94,15 +131,11 @@ def read_visibility(path: str | os.PathLike[str]) -> Float[HostArray, "h w"]:
     except Exception as error:  # each format's reader raises types of its own
         reason = " ".join(str(error).split()) or type(error).__name__
         raise FileError(
-            f"the visibility file {file} is damaged or does not have the format of its suffix ({reason}); "
-            "write it again"
+            f"the image file {file} is damaged or does not have the format of its suffix ({reason}); write it again"
         ) from error
-    if pixels.ndim != 2 or pixels.size == 0:
-        raise FileError(f"the visibility file {file} holds an array of shape {pixels.shape}; expected (h, w)")
-    visibility = _in_unit_range(pixels, f"the visibility file {file}", FileError)
     for remark in remarks:
-        warnings.warn(ImageWarning(f"the visibility file {file} {remark}"), stacklevel=2)
-    return visibility
+        warnings.warn(ImageWarning(f"the image file {file} {remark}"), stacklevel=3)
+    return pixels
 
 
 def write_visibility(path: str | os.PathLike[str], image: Any) -> None:
@@ -124,9 +157,9 @@ def write_visibility(path: str | os.PathLike[str], image: Any) -> None:
 def _read_npy(file: Path) -> Pixels:
     # Opened here, since `np.load` leaves a damaged file open.
     with file.open("rb") as stream:
-        shape, _, dtype = read_header(stream, f"the visibility file {file}")
+        shape, _, dtype = read_header(stream, f"the image file {file}")
         if dtype.kind not in "bfiu":
-            raise FileError(f"the visibility file {file} holds values of type {dtype}; expected real numbers")
+            raise FileError(f"the image file {file} holds values of type {dtype}; expected real numbers")
         # `np.load` allocates what the header asks for before it looks at the file's size.
         expected, actual = math.prod(shape) * dtype.itemsize, file.stat().st_size - stream.tell()
         if expected != actual:
@@ -141,7 +174,21 @@ def _write_npy(file: Path, pixels: HostArray) -> None:
         np.save(stream, pixels, allow_pickle=False)
 
 
+def _read_jpeg(file: Path) -> Pixels:
+    with Image.open(file, formats=["JPEG"]) as image:
+        check_size(file, image.height, image.width)
+        return Pixels(np.asarray(ImageOps.exif_transpose(image).convert("RGB"), np.float32)[::-1] / 255)
+
+
 _READERS: Mapping[str, Callable[[Path], Pixels]] = {".npy": _read_npy, ".png": read_png, ".exr": read_exr}
+# Of pictures, with their encodings.
+_PICTURES: Mapping[str, tuple[Callable[[Path], Pixels], Encoding]] = {
+    ".npy": (_read_npy, "linear"),
+    ".png": (lambda file: read_png(file, three_colours, _SRGB), "srgb"),
+    ".jpg": (_read_jpeg, "srgb"),
+    ".jpeg": (_read_jpeg, "srgb"),
+    ".exr": (lambda file: read_exr(file, three_colours), "linear"),
+}
 # Writers take float32 from 0 to 1.
 _WRITERS: Mapping[str, Callable[[Path, HostArray], None]] = {
     ".npy": _write_npy,
@@ -152,7 +199,7 @@ _WRITERS: Mapping[str, Callable[[Path, HostArray], None]] = {
 
 def _for_suffix[T](path: Path, table: Mapping[str, T]) -> T:
     if path.suffix.lower() not in table:
-        raise FileError(f"the suffix of {path} is {path.suffix!r}; expected one of {', '.join(table)} for visibility")
+        raise FileError(f"the suffix of {path} is {path.suffix!r}; expected one of {', '.join(table)}")
     return table[path.suffix.lower()]
 
 
@@ -162,9 +209,9 @@ def _check_signature(file: Path) -> None:
         with file.open("rb") as stream:
             start = stream.read(max(map(len, _SIGNATURES)))
     except OSError as error:
-        raise FileError(f"cannot read the visibility file {file}: {error.strerror or error}") from error
+        raise FileError(f"cannot read the image file {file}: {error.strerror or error}") from error
     found = next((kind for signature, kind in _SIGNATURES.items() if start.startswith(signature)), None)
-    if found != file.suffix.lower():
+    if found != {".jpeg": ".jpg"}.get(suffix := file.suffix.lower(), suffix):
         what = f"is a {found} file" if found else f"does not begin as a {file.suffix} file" if start else "is empty"
         raise ValueError(f"it {what}")
 

@@ -1,6 +1,6 @@
-"""What the readers of image files share: limits, orientations, and the mean of colours."""
+"""What the readers of image files share: limits, orientations, and what becomes of colours."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -31,12 +31,11 @@ def check_size(file: Path, rows: int, columns: int) -> None:
     """**Raises** `FileError` if there are no pixels, or more than `MAX_PIXELS`."""
     if not 0 < rows * columns <= MAX_PIXELS:
         raise FileError(
-            f"the visibility file {file} has {rows} x {columns} pixels; "
-            f"expected 1 to {MAX_PIXELS:,} in total: scale it down"
+            f"the image file {file} has {rows} x {columns} pixels; expected 1 to {MAX_PIXELS:,} in total: scale it down"
         )
 
 
-def upright(rows: Shaped[HostArray, "h w"], orientation: int) -> Shaped[HostArray, "h2 w2"]:
+def upright(rows: Shaped[HostArray, "h w *c"], orientation: int) -> Shaped[HostArray, "h2 w2 *c"]:
     """Turns an image whose row 0 is the top row as Exif's tag Orientation says (Exif 2.32, section 4.6.4)."""
     match orientation:
         case 2:
@@ -46,13 +45,13 @@ def upright(rows: Shaped[HostArray, "h w"], orientation: int) -> Shaped[HostArra
         case 4:
             return rows[::-1]
         case 5:
-            return rows.T
+            return rows.swapaxes(0, 1)
         case 6:
-            return rows.T[:, ::-1]
+            return rows.swapaxes(0, 1)[:, ::-1]
         case 7:
-            return rows.T[::-1, ::-1]
+            return rows.swapaxes(0, 1)[::-1, ::-1]
         case 8:
-            return rows.T[::-1]
+            return rows.swapaxes(0, 1)[::-1]
     return rows
 
 
@@ -68,3 +67,12 @@ def mean_colour(channels: Sequence[Shaped[HostArray, "h w"]], remarks: list[str]
             "write the visibility alone, in grey"
         )
     return stacked.mean(axis=0)
+
+
+def three_colours(channels: Sequence[Shaped[HostArray, "h w"]], remarks: list[str]) -> Float32[HostArray, "h w 3"]:
+    """Red, green and blue; grey has the same value in all of them."""
+    return np.stack([*channels] * (3 // len(channels)), axis=-1).astype(np.float32)
+
+
+Merge = Callable[[Sequence[Shaped[HostArray, "h w"]], list[str]], HostArray]
+"""What a reader makes of one or three channels; it may add remarks."""

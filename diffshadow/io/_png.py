@@ -13,7 +13,7 @@ from PIL import Image
 
 from .._types import HostArray
 from ._errors import FileError
-from ._pixels import Pixels, check_size, mean_colour, upright
+from ._pixels import Merge, Pixels, check_size, mean_colour, upright
 from ._text import excerpt
 
 # Types of images.
@@ -35,8 +35,11 @@ class _Samples(NamedTuple):
     depth: int
 
 
-def read_png(file: Path) -> Pixels:
-    """Reads the mean of an image's colours, linear from 0 to 1. Alpha is ignored.
+def read_png(file: Path, merge: Merge = mean_colour, curves: Sequence[str | None] = (None,)) -> Pixels:
+    """Reads an image from 0 to 1 as it is stored: the mean of its colours, or what `merge` makes of them. Alpha is
+    ignored.
+
+    **Arguments:** `curves`: the encodings that are no cause for a remark.
 
     **Raises** `FileError` for an animation, or too many pixels, and other errors if the file is damaged.
     """
@@ -49,9 +52,9 @@ def read_png(file: Path) -> Pixels:
     chunks = _chunks(data)
     frames = int.from_bytes(chunks.get(b"acTL", b"")[:4])
     if frames > 1:
-        raise FileError(f"the visibility file {file} is an animation of {frames} images; expected one image")
+        raise FileError(f"the image file {file} is an animation of {frames} images; expected one image")
     samples = _samples(data, depth, kind, chunks.get(b"tRNS", b""))
-    remarks = [*_remarks(chunks)]
+    remarks = [*_remarks(chunks, curves)]
     see_through = 0 if samples.opacity is None else np.count_nonzero(samples.opacity < 2**samples.depth - 1)
     if see_through:
         remarks.append(
@@ -60,7 +63,7 @@ def read_png(file: Path) -> Pixels:
         )
     significant = [*chunks.get(b"sBIT", b""), *[0] * len(samples.colours)]
     colours = [_unit(each, samples.depth, bits) for each, bits in zip(samples.colours, significant, strict=False)]
-    values = mean_colour(colours, remarks)
+    values = merge(colours, remarks)
     return Pixels(upright(values, _orientation(data, remarks))[::-1], remarks)
 
 
@@ -158,13 +161,14 @@ def _orientation(data: bytes, remarks: list[str]) -> int:
         return 1
 
 
-def _remarks(chunks: Mapping[bytes, bytes]) -> Iterator[str]:
+def _remarks(chunks: Mapping[bytes, bytes], curves: Sequence[str | None]) -> Iterator[str]:
     """What chunks say of the pixels that is not obeyed."""
     encoding = _encoding(chunks)
-    if encoding is not None:
+    if encoding not in curves:
+        read, mend = ("linear", "without a curve") if None in curves and len(curves) == 1 else ("sRGB", "in sRGB")
         yield (
-            f"has the chunk {encoding}; its values are read as linear all the same, from 0 in shadow to 1 in light: "
-            "write them without a curve, or as .npy or .exr"
+            f"has the chunk {encoding}; its values are read as {read} all the same, from 0 in shadow to 1 in light: "
+            f"write them {mend}, or as .npy or .exr"
         )
     across, down, _ = struct.unpack(">IIB", chunks.get(b"pHYs", bytes(9)))
     if across and down and abs(down / across - 1) > 0.01:

@@ -10,6 +10,9 @@ Sampler = Literal["sobol", "stratified"]
 """How points of a light are chosen. Both converge equally fast; `"stratified"` works best with a square number."""
 
 
+Encoding = Literal["linear", "srgb"]
+"""What the numbers of a picture are: linear colours, or colours of sRGB from 0 to 1."""
+
 Blockers = Literal["casters", "all"]
 """Which meshes block rays: casters, or all of them."""
 
@@ -39,6 +42,26 @@ class TracedReference(Reference):
     def how(self, seed: int) -> dict[str, Any]:
         """The arguments of `reference.trace_visibility` besides the scene."""
         return {**{key: getattr(self, key) for key in self.each() if key != "type"}, "seed": seed}
+
+
+class PictureReference(Reference):
+    """A picture of the shaded scene, to which a fit brings camera, lights, meshes and colours."""
+
+    type: Literal["picture"] = "picture"
+    path: Annotated[
+        Annotated[str, Len(1)] | None,
+        "a picture (.exr or .npy, linear; .png, sRGB), as large as the camera's image, relative to this file (in an "
+        "override: to the current folder); default: what rays see of the scene as it stands, which is then the truth",
+    ] = None
+    mask: Annotated[
+        Annotated[str, Len(1)] | None, "an image of the pixels that count, above 0.5; default: all of them"
+    ] = None
+    encoding: Annotated[Encoding | None, "of the picture's numbers; default: by the kind of its file"] = None
+    exposure: Annotated[float, Limits(-20, 20), Unit("stops"), "by how much the drawn picture is lightened"] = 0.0
+    samples: Annotated[int, Limits(1, 1 << 16), Unit("rays per pixel"), "shadow rays per pixel, without a path"] = 64
+    supersampling: Annotated[
+        int, Limits(1, 8), Unit("camera rays per pixel side"), "camera rays along a pixel's side, without a path"
+    ] = 4
 
 
 class ImageReference(Reference):

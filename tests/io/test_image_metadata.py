@@ -24,7 +24,7 @@ def read(path):
         warnings.simplefilter("always")
         pixels = read_visibility(path)
     assert all(each.category is ImageWarning for each in caught)
-    start = f"the visibility file {path} "
+    start = f"the image file {path} "
     assert all(str(each.message).startswith(start) for each in caught)
     return pixels[::-1], [str(each.message).removeprefix(start) for each in caught]
 

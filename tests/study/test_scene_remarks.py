@@ -239,4 +239,4 @@ def test_what_a_reference_says_of_its_pixels_is_remarked_on_once(tmp_path):
     with Stages(Console(quiet=True)) as stages:
         (drawn,) = draw(config, load(config, stages), build_technique(config), stages)
     (remark,) = drawn.remarks
-    assert remark.startswith(f"the visibility file {tmp_path / 'reference.png'} has the chunk iCCP")
+    assert remark.startswith(f"the image file {tmp_path / 'reference.png'} has the chunk iCCP")

@@ -480,7 +480,7 @@ def before_work(monkeypatch) -> None:
         ("scene.meshes.0={path: nowhere.obj}", "scene.meshes.0.path: there is no file"),
         ("reference={type: image, path: nowhere.png}", "reference.path: there is no file"),
         ("reference={type: image, path: tiny.yaml}", "reference.path: the suffix of"),
-        ("reference={type: image, path: text.png}", "reference.path: the visibility file"),
+        ("reference={type: image, path: text.png}", "reference.path: the image file"),
         ("reference={type: image, path: small.npy}", "reference.path: is an image of [8, 4] pixels"),
         (f"name={'x' * 240}", "name: has 240 bytes; expected at most 200"),
         (f"output={'/'.join(['x' * 99] * 40)}", "output: makes paths of files of"),

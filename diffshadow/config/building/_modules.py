@@ -11,6 +11,7 @@ import numpy as np
 from ... import fit, geometry, shading, shadow
 from ..._checks import text_within
 from ...settings.engines import Engine
+from ...settings.reference import PictureReference
 from ...settings.shading import INTENSITY, ModulatedShadow
 from ...settings.techniques import Mapped, OwnTechnique
 from .._errors import ConfigError, KeyPath, Location, Mistake, dotted
@@ -244,7 +245,7 @@ def build_fit(config: Config, scene: geometry.Scene | None = None) -> FitPlan:
         with _blame(config, ("fit", "parameters", name)):
             path, start, offset = _start(config, name, arrangement, origin)
             start, limits = _within(start, bounds, units[name]), (bounds.lower, bounds.upper)
-            if is_pose(name) and config.reference.type == "traced":
+            if is_pose(name) and is_truth(config):
                 truth[name] = _reachable(start, bounds)
             start = start if bounds.initial is None else bounds.initial
             parameters.append(fit.Parameter(name, start, *limits, units[name], path, offset))
@@ -274,8 +275,15 @@ def build_shape(config: Config) -> ShapePlan:
     return plan_shape(config, lambda path: _blame(config, path))
 
 
+def is_truth(config: Config) -> bool:
+    """Whether the scene as it stands is what the reference shows."""
+    reference = config.reference
+    return reference.type == "traced" or (isinstance(reference, PictureReference) and reference.path is None)
+
+
 def build_arrangement(config: Config, scene: geometry.Scene) -> fit.Arrangement:
-    """The technique of `config`, with its lights and meshes in their initial poses.
+    """The technique of `config`, with its lights and meshes in their initial poses, and for a fit to a picture its
+    camera and shading.
 
     **Raises** `ConfigError` if a vertex to fit does not exist in its mesh.
     """
@@ -289,8 +297,12 @@ def build_arrangement(config: Config, scene: geometry.Scene) -> fit.Arrangement:
             with _blame(config, ("fit", "parameters", name)):
                 fit.MeshPose.of(mesh, (vertex,))
         home = tuple(x - _offset(x, at) for x, at in zip(section.translate, origin, strict=True))
-        poses.append(fit.MeshPose.of(mesh, tuple(vertices), home))
-    return fit.Arrangement.of(build_shadow_mapping(config), scene.lights, poses)
+        coloured = config.reference.type == "picture"
+        poses.append(fit.MeshPose.of(mesh, tuple(vertices), home, coloured=coloured))
+    arrangement = fit.Arrangement.of(build_shadow_mapping(config), scene.lights, poses)
+    if not isinstance(config.reference, PictureReference):
+        return arrangement
+    return arrangement.pictured(scene, build_shading(config), config.reference.exposure)
 
 
 def _can_be_fitted(config: Config) -> bool:

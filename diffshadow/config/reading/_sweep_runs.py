@@ -15,7 +15,6 @@ from typing import Any, NamedTuple, overload
 from pydantic import ValidationError
 
 from ...settings.patterns import MAX_PATTERN_TAPS
-from ...settings.reference import ImageReference
 from ...settings.techniques import Mapped
 from .._errors import ConfigError, Mistake, Origin, show
 from ..sections._axes import LABEL
@@ -302,8 +301,9 @@ def _id_of(config: Config, settings: SweepConfig) -> str:
     for mesh, section in zip(data["scene"]["meshes"], config.scene.meshes, strict=True):
         if section.builtin is None:
             mesh["path"] = _content_of(section.path)
-    if isinstance(config.reference, ImageReference):
-        data["reference"]["path"] = _content_of(config.reference.path)
+    for key in ("path", "mask"):
+        if file := getattr(config.reference, key, None):
+            data["reference"][key] = _content_of(file)
     for kind, views in (("views", config.views), ("validation", config.validation)):
         data["fit"][kind] = [_id_of(view.config, settings) for view in views]
     whole = {

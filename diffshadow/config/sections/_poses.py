@@ -1,52 +1,72 @@
-"""Which numbers of a scene can be fitted: positions, directions and sizes of lights, and poses of meshes."""
+"""Which numbers beyond the technique's can be fitted: positions, directions and sizes of lights, poses of meshes, and in
+fits to a picture the camera's pose and colours."""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from pydantic_core import PydanticCustomError
 
-from ...settings import Limits, Setting
-from ...settings.quantities import Coordinate, HalfAngle, Turn, WorldUnits
+from ...settings import Limits, Setting, shading
+from ...settings.quantities import Coordinate, Distance, Factor, Fraction, HalfAngle, Turn, WorldUnits
+from ...settings.reference import PictureReference
+from ...settings.scene import PinholeCamera
 from .._errors import did_you_mean, listing
 from ._section import fault, is_index, value_at
 
-_AXES = ("x", "y", "z")
-_DEGREES, _WORLD = "degrees", "world units"
-_POSITION = {f"position.{axis}": _WORLD for axis in _AXES}
-_ANGLES = {"azimuth": _DEGREES, "elevation": _DEGREES}
+_AXES, _CHANNELS = ("x", "y", "z"), ("red", "green", "blue")
+_vector = lambda key, kind: {f"{key}.{axis}": Setting.of(kind) for axis in _AXES}
+_colour = lambda key, kind: {f"{key}.{channel}": Setting.of(kind) for channel in _CHANNELS}
+_POSITION, _ANGLES = _vector("position", Coordinate), {key: Setting.of(Turn) for key in ("azimuth", "elevation")}
+# The settings of what can be fitted, by keys. Of lights, by their type.
 _OF_LIGHTS = {
-    "directional": {**_ANGLES, "angular_radius": _DEGREES},
-    "spot": {**_POSITION, **_ANGLES, "radius": _WORLD},
-    "point": {**_POSITION, "radius": _WORLD},
+    "directional": {**_ANGLES, "angular_radius": Setting.of(HalfAngle)},
+    "spot": {**_POSITION, **_ANGLES, "radius": Setting.of(WorldUnits)},
+    "point": {**_POSITION, "radius": Setting.of(WorldUnits)},
     "rectangle": {**_POSITION},
 }
-"""The keys that can be fitted, with their units, by the light's type."""
-_OF_MESHES = {**{f"translate.{a}": _WORLD for a in _AXES}, **{f"turn.{a}": _DEGREES for a in _AXES}}
+_OF_MESHES = {**_vector("translate", Coordinate), **_vector("turn", Turn)}
+# Only to a picture.
+_OF_CAMERAS = {
+    "pinhole": {**_vector("eye", Coordinate), **_vector("turn", Turn), "fov_y": PinholeCamera.each()["fov_y"]},
+    "orthographic": {**_vector("eye", Coordinate), **_vector("turn", Turn), "height": Setting.of(Distance)},
+}
+_ALBEDO = _colour("albedo", Fraction)
+_LIT = {
+    **{key: kind for name in ("ambient", "intensity", "background") for key, kind in _colour(name, Factor).items()},
+    **{key: shading.Lit.each()[key] for key in ("specular", "shininess")},
+    **{f"attenuation.{key}": kind for key, kind in shading.Attenuation.each().items()},
+}
+_OF_SHADINGS = {"phong": _LIT, "modulated": {**_LIT, "factor": Setting.of(Fraction)}}
+_EXPOSURE = "reference.exposure"
 _SIZES = ("radius", "angular_radius")
 
 
 class Pose(NamedTuple):
-    """A number of the scene that can be fitted.
+    """A number that can be fitted, and is not the technique's.
 
-    - `path`: its dotted path in a `fit.Arrangement`; `unit`: its unit.
+    - `path`: its dotted path in a `fit.Arrangement`; `setting`: its unit and limits.
     - `vertex`: the indices of mesh and vertex, if the number is a coordinate of a vertex.
     """
 
     path: str
-    unit: str
+    setting: Setting
     vertex: tuple[int, int] | None = None
+
+    @property
+    def unit(self) -> str:
+        """Its unit; empty for colours."""
+        return self.setting.unit
 
     @property
     def limits(self) -> Limits:
         """The limits of its bounds, equal to the limits of the keys that set such numbers."""
-        kinds = (HalfAngle, Turn) if self.unit == _DEGREES else (WorldUnits, Coordinate)
-        return Setting.of(kinds[0] if self.is_size else kinds[1]).limits
+        return self.setting.limits
 
     @property
     def axis(self) -> int | None:
-        """The axis that it is a coordinate along; none for an angle or a size."""
+        """The axis that it is a coordinate along; none for an angle, a size or a colour."""
         last = self.path.rpartition(".")[2]
-        return _AXES.index(last) if self.unit == _WORLD and last in _AXES else None
+        return _AXES.index(last) if self.unit == _POSITION["position.x"].unit and last in _AXES else None
 
     @property
     def is_size(self) -> bool:
@@ -55,34 +75,47 @@ class Pose(NamedTuple):
 
 
 def is_pose(name: str) -> bool:
-    """Whether `name` belongs to the scene, rather than to the technique."""
-    return name.startswith("scene.")
+    """Whether `name` belongs to the scene or its shading, rather than to the technique."""
+    return name.startswith(("scene.", "shading.", "reference."))
 
 
 def poses(data: Any) -> dict[str, Pose]:
-    """The numbers of the scene that can be fitted, by name. Vertices are left out: there are too many."""
+    """The numbers of the scene, and to a picture of its shading, that can be fitted, by name. Vertices are left out:
+    there are too many."""
     found = {}
     for i, (key, light) in enumerate(_lights(data)):
-        for name, unit in _OF_LIGHTS.get(str(value_at(light, "type", default="directional")), {}).items():
-            found[f"scene.{key}.{name}"] = Pose(f"lights.{i}.{'radius' if name in _SIZES else name}", unit)
+        for name, setting in _OF_LIGHTS.get(str(value_at(light, "type", default="directional")), {}).items():
+            found[f"scene.{key}.{name}"] = Pose(f"lights.{i}.{'radius' if name in _SIZES else name}", setting)
     for i in range(_count(data, "meshes")):
-        found |= {f"scene.meshes.{i}.{name}": Pose(f"meshes.{i}.{name}", unit) for name, unit in _OF_MESHES.items()}
-    return found
+        found |= {f"scene.meshes.{i}.{name}": Pose(f"meshes.{i}.{name}", kind) for name, kind in _OF_MESHES.items()}
+    return found | _of_pictures(data) if value_at(data, "reference", "type") == "picture" else found
+
+
+def _of_pictures(data: Any) -> dict[str, Pose]:
+    camera = str(value_at(data, "scene", "camera", "type", default="pinhole"))
+    found = {f"scene.camera.{name}": Pose(f"camera.{name}", kind) for name, kind in _OF_CAMERAS.get(camera, {}).items()}
+    for i in range(_count(data, "meshes")):
+        found |= {f"scene.meshes.{i}.{name}": Pose(f"meshes.{i}.{name}", kind) for name, kind in _ALBEDO.items()}
+    shaded = str(value_at(data, "shading", "type", default="phong"))
+    for name, kind in _OF_SHADINGS.get(shaded, {}).items():
+        holder = "shading.lit" if shaded == "modulated" and name != "factor" else "shading"
+        found[f"shading.{name}"] = Pose(f"{holder}.{name}", kind)
+    return {**found, _EXPOSURE: Pose("exposure", PictureReference.each()["exposure"])}
 
 
 def pose_of(data: Any, name: str) -> Pose | None:
-    """The number of the scene named `name`, or `None` if there is none."""
+    """The number of the scene or its shading named `name`, or `None` if there is none."""
     match name.split("."):
         case ["scene", "meshes", mesh, "vertices", vertex, axis] if is_index(mesh) and is_index(vertex):
             if axis in _AXES and int(mesh) < _count(data, "meshes"):
-                return Pose(f"meshes.{int(mesh)}.vertices.{int(vertex)}.{axis}", _WORLD, (int(mesh), int(vertex)))
+                path = f"meshes.{int(mesh)}.vertices.{int(vertex)}.{axis}"
+                return Pose(path, Setting.of(Coordinate), (int(mesh), int(vertex)))
     return poses(data).get(name)
 
 
 def could_be_pose(name: str) -> bool:
     """Whether some scene, not necessarily this one, has a number `name`."""
-    words = name.split(".")
-    match words:
+    match name.split("."):
         case ["scene", "light", *key]:
             return any(".".join(key) in keys for keys in _OF_LIGHTS.values())
         case ["scene", "lights", index, *key] if is_index(index):
@@ -90,14 +123,30 @@ def could_be_pose(name: str) -> bool:
         case ["scene", "meshes", index, "vertices", vertex, axis] if is_index(index) and is_index(vertex):
             return axis in _AXES
         case ["scene", "meshes", index, *key] if is_index(index):
-            return ".".join(key) in _OF_MESHES
-    return False
+            return ".".join(key) in {**_OF_MESHES, **_ALBEDO}
+    return _needs_picture(name)
+
+
+def _needs_picture(name: str) -> bool:
+    """Whether it can be fitted to a picture only."""
+    match name.split("."):
+        case ["scene", "meshes", index, *key] if is_index(index):
+            return ".".join(key) in _ALBEDO
+        case ["scene", "camera", *key]:
+            return any(".".join(key) in keys for keys in _OF_CAMERAS.values())
+        case ["shading", *key]:
+            return any(".".join(key) in keys for keys in _OF_SHADINGS.values())
+    return name == _EXPOSURE
 
 
 def pose_faults(data: Any, name: str) -> Iterator[PydanticCustomError]:
     """What is wrong with fitting the number of the scene named `name`."""
     pose = pose_of(data, name)
     if pose is None:
+        if _needs_picture(name) and value_at(data, "reference", "type") != "picture":
+            mend = "set reference.type to picture, or remove the parameter"
+            yield fault("cannot be fitted to visibility, which does not show it", "a fit to a picture", mend)
+            return
         known = [*poses(data), "scene.meshes.0.vertices.0.x"]
         yield fault("cannot be fitted in this scene", listing(known), did_you_mean(name, known, "name one of these"))
         return

@@ -86,8 +86,8 @@ class Parts(Section):
 
     @property
     def moves(self) -> bool:
-        """Whether the fit changes lights or meshes."""
-        return any(is_pose(name) for name in self.fit.parameters)
+        """Whether the fit draws maps again at every step: it changes lights or meshes, or is to a picture."""
+        return self.reference.type == "picture" or any(is_pose(name) for name in self.fit.parameters)
 
     @property
     def has_silhouettes(self) -> bool:

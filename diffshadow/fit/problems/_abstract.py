@@ -1,7 +1,7 @@
 """What a fit needs to know of a problem."""
 
 import abc
-from typing import Any, Self
+from typing import Any
 
 import equinox as eqx
 from jaxtyping import Array, Float
@@ -65,13 +65,13 @@ class AbstractProblem(eqx.Module):
         """The part of each difference that the fit makes small, such as its blur. Linear."""
 
     @abc.abstractmethod
-    def laid_out(self, subject: Any) -> Self:
+    def laid_out(self, subject: Any) -> "AbstractProblem":
         """With maps laid out as `subject` says, if they do not follow it in `difference`."""
 
     @abc.abstractmethod
-    def planned(self) -> Self:
+    def planned(self) -> "AbstractProblem":
         """With the memory that drawing needs under a trace."""
 
     @abc.abstractmethod
-    def padded(self) -> Self:
+    def padded(self) -> "AbstractProblem":
         """With its meshes padded to few sizes, so that problems of like size share compiled programs."""

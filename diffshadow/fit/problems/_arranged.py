@@ -3,7 +3,7 @@
 import abc
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, Self
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -76,16 +76,16 @@ class ArrangedProblem(AbstractProblem):
         """The blur of each difference."""
         return blurred(differences, self.blur)
 
-    def laid_out(self, subject: Arrangement) -> Self:
+    def laid_out(self, subject: Arrangement) -> "ArrangedProblem":
         """The problem itself: maps are drawn at every step."""
         return self
 
     @abc.abstractmethod
-    def with_memory_of(self, other: Any) -> Self:
+    def with_memory_of(self, other: Any) -> "ArrangedProblem":
         """With as much memory for silhouettes as `other`, a problem of the same kind."""
 
     @property
-    def sharpest(self) -> Self:
+    def sharpest(self) -> "ArrangedProblem":
         """With the blur, no wider than its own, under which differences locate lights and meshes best once these are
         nearly in place.
 

@@ -1,7 +1,6 @@
 """Fits to a picture: what is compared is the shaded, antialiased image of a scene."""
 
 import dataclasses
-from typing import Literal
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -13,14 +12,12 @@ from ..._types import Scalar
 from ...geometry import AbstractCamera, AbstractLight, Edges, Mesh, Scene
 from ...raster import AntialiasedSurface, AntialiasPlan, draw_antialiased, plan_antialiasing
 from ...settings.fit import BLUR
+from ...settings.reference import Encoding
 from ...shading import AbstractShading, Phong, to_srgb
 from ...shadow import MapSettings, Overflow, ShadowMap, ShadowMapping
 from .._arrangement import Arrangement
 from .._own_loss import Seen
 from ._arranged import ArrangedProblem, any_overflow, weighted_difference
-
-Encoding = Literal["linear", "srgb"]
-"""What the numbers of a picture are: linear colours, or colours of sRGB from 0 to 1."""
 
 # There is memory for so many times the outlines' pieces at the start. If others need more, phases are repeated.
 _MORE_PIECES = 2.0
@@ -75,6 +72,7 @@ class PictureProblem(ArrangedProblem):
         shading: AbstractShading | None = None,
         mask: Bool[Array | np.ndarray, "h w"] | None = None,
         encoding: Encoding = "linear",
+        exposure: float = 0.0,
         arrangement: Arrangement | None = None,
         surface: AntialiasedSurface | None = None,
     ) -> "PictureProblem":
@@ -86,8 +84,8 @@ class PictureProblem(ArrangedProblem):
         - `picture`: (h, w, 3), as large as the camera's image. Row 0 is the bottom row.
         - `shading`: of the scene; the default one of `Phong` if left out.
         - `mask`: (h, w), the pixels that count; all if left out.
-        - `encoding`: of the picture.
-        - `arrangement`: what is fitted, if not all as it stands in the scene.
+        - `encoding`: of the picture; `exposure`: by how many stops what is drawn is lightened.
+        - `arrangement`: what is fitted, if not all as it stands in the scene, with its own shading and exposure.
         - `surface`: what the camera sees, if neither it nor meshes move or change their colour. Left out, it is drawn
             again at every step.
 
@@ -103,7 +101,9 @@ class PictureProblem(ArrangedProblem):
             )
         if not np.isfinite(np.asarray(reference)[counts]).all():
             raise ValueError("the picture has pixels that are not finite; expected numbers: mask them out")
-        given = Arrangement.of_picture(technique, scene, shading or Phong()) if arrangement is None else arrangement
+        given = arrangement
+        if given is None:
+            given = Arrangement.of_picture(technique, scene, shading or Phong(), exposure)
         problem = cls(
             arrangement=given,
             scene=scene,
