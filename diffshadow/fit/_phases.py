@@ -131,7 +131,7 @@ def _blurred(joint: Joint, blur: float) -> Joint:
 def enlarged(joint: Joint, parameters: Parameters, values: Float[Array, "k p"]) -> Joint:
     """With memory for several times the silhouettes at each row of `values` (k, p)."""
 
-    def grown(problem: ArrangedProblem) -> AbstractProblem:
+    def grown(problem: ArrangedProblem) -> ArrangedProblem:
         for there in values:
             moved = dataclasses.replace(problem, arrangement=parameters.put(problem.arrangement, there))
             planned: Any = moved.planned()

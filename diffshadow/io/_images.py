@@ -115,9 +115,8 @@ def read_picture(path: str | os.PathLike[str]) -> tuple[Float[HostArray, "h w 3"
     if pixels.ndim != 3 or pixels.shape[-1] != 3 or pixels.size == 0:
         raise FileError(f"the image file {file} holds an array of shape {pixels.shape}; expected (h, w, 3)")
     if not np.isfinite(pixels).all():
-        raise FileError(
-            f"the image file {file} has {np.count_nonzero(~np.isfinite(pixels))} values that are not finite"
-        )
+        bad = np.count_nonzero(~np.isfinite(pixels))
+        raise FileError(f"the image file {file} has {bad} values that are NaN or infinite; expected numbers")
     return pixels, encoding
 
 

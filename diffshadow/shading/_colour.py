@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._arithmetic import as_number
-from .._types import AsScalar, Vec3
+from .._types import AsScalar, HostArray, Vec3
 
 
 class Colour(eqx.Module):
@@ -21,6 +21,9 @@ class Colour(eqx.Module):
     def array(self) -> Vec3:
         """All three, (3,)."""
         return jnp.stack([self.red, self.green, self.blue])
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> HostArray:
+        return np.asarray([self.red, self.green, self.blue], dtype)
 
 
 def as_colour(value: Any) -> Any:

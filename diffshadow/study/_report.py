@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from .. import io
-from .files._stored import ADVISE, SHAPE, SWEEP, add_files, read_result, read_run
+from .files._stored import ADVISE, PICTURE, SHAPE, SWEEP, add_files, read_result, read_run
 from .pages._report import write_report
 
 
@@ -38,6 +38,10 @@ def report(folder: Path, *, form: str | None = None, dpi: int = 150) -> Path:
         from .pages._shape import report_shape
 
         return report_shape(folder, form, dpi)
+    if kind == PICTURE:
+        from .pages._picture import report_picture
+
+        return report_picture(folder, form, dpi)
     run = read_run(folder)
     if form is not None:
         # Here, since it loads Matplotlib.

@@ -178,6 +178,8 @@ def built(where: str, section: type[Section], data: dict[str, Any]) -> Any:
 
 def numbers_of(module: Any, path: str = "") -> dict[str, Any]:
     """Each number and choice in a module, by its dotted path."""
+    if isinstance(module, Colour):
+        return {path: np.asarray(module)}
     if dataclasses.is_dataclass(module):
         inner = {field.name: getattr(module, field.name) for field in dataclasses.fields(module)}
     elif isinstance(module, dict) or hasattr(module, "_asdict"):

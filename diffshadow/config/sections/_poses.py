@@ -1,5 +1,4 @@
-"""Which numbers beyond the technique's can be fitted: positions, directions and sizes of lights, poses of meshes, and in
-fits to a picture the camera's pose and colours."""
+"""Numbers of the scene that can be fitted: poses of lights and meshes; in fits to pictures, also camera and colours."""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple

@@ -334,6 +334,46 @@ class _ShapeMetrics(_Part):
     size: Annotated[float, Field(gt=0)] | None = None
 
 
+class _PictureErrors(_Part):
+    """`flip` is none without the package that measures it."""
+
+    rmse: Annotated[float, Field(ge=0)]
+    mae: Annotated[float, Field(ge=0)]
+    flip: Fraction | None = None
+
+
+class _PictureMetrics(_Part):
+    before: _PictureErrors
+    after: _PictureErrors
+    pixels: Count
+    resolution: Annotated[list[Count], Field(min_length=2, max_length=2)]
+
+
+class _Picture(_Run):
+    """A fit made in Python has neither seed nor command, since it has no configuration."""
+
+    kind: Literal["picture"]
+    encoding: Literal["linear", "srgb"]
+    seed: Seed | None = None
+    command: str | None = None
+    initial: Numbers
+    fitted: Numbers = Field(min_length=1)
+    bounds: dict[str, _Bounds]
+    truth: Numbers
+    deviations: Numbers
+    camera: dict[str, Annotated[list[float], Field(min_length=3, max_length=3)]]
+    metrics: _PictureMetrics
+    steps: Count
+
+    @model_validator(mode="after")
+    def _agrees(self) -> "_Picture":
+        """Checks that all parts have the same parameters."""
+        for key, numbers in (("initial", self.initial), ("bounds", self.bounds)):
+            if list(numbers) != list(self.fitted):
+                raise _fault(key, f"has the keys {_listed(numbers)}", f"the keys of fitted, {_listed(self.fitted)}")
+        return self
+
+
 class _ShapePhase(_Part):
     steps: Count
     loss: Annotated[float, Field(ge=0)]
@@ -459,6 +499,7 @@ _KINDS: Mapping[str, type[_Part]] = {
     "render": _Render,
     "fit": _Fit,
     "shape": _Shape,
+    "picture": _Picture,
     "sweep": _Sweep,
     "advise": _Advise,
 }

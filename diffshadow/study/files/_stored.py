@@ -19,6 +19,10 @@ KINDS = {"fit": (("Before", "before"), ("After", "after")), "render": (("Visibil
 """The images of each kind of run: their titles, and the names of their arrays."""
 SHAPE = "shape"
 """The kind of a fit of a shape."""
+PICTURE = "picture"
+"""The kind of a fit to a picture."""
+PICTURE_STATES = ("reference", "before", "after")
+"""The names of its arrays: what it is fitted to, and what was drawn before and after."""
 SWEEP = "sweep"
 """The kind of a folder that holds many runs."""
 ADVISE = "advise"
@@ -136,7 +140,7 @@ def read_result(folder: Path) -> Mapping[str, Any]:
         raise io.FileError(f"{folder} holds no run: it has no {RESULT}; expected the folder of a finished run")
     result = read_json(file)
     kind = result.get("kind") if isinstance(result, dict) else None
-    if kind not in (*KINDS, SHAPE, SWEEP, ADVISE):
+    if kind not in (*KINDS, SHAPE, PICTURE, SWEEP, ADVISE):
         raise io.FileError(
             f"{file} is not of a fit, render, sweep or recommendation; expected one of these: runs inside a sweep keep "
             "only numbers, unless sweep.figures is true"

@@ -9,10 +9,12 @@ from rich.console import Console
 from ... import fit, io, shadow
 from ...config import Config, build_fit, build_technique
 from ...settings.engines import Engine
+from ...settings.reference import TracedReference
 from ...settings.techniques import Mapped
 from ..files._run_folder import folder_of
 from ..pages import _table as table
 from ..remarks._scene import scene_remarks
+from ._picture import picture_plan
 from ._progress import Stages
 from ._render import SUFFIX
 from ._setup import SeenScene, check_comparable, load, see
@@ -44,6 +46,8 @@ def check(config: Config, *, console: Console, preview: bool = False) -> Checked
     """
     if config.fit.shape is not None:
         return _check_shape(config, console)
+    if config.reference.type == "picture":
+        return _check_picture(config, console, preview)
     # An engine's numbers are fitted only by name.
     names_engine = any(name.startswith("technique.") for name in config.fit.parameters)
     fits = isinstance(config.technique, Mapped) or (isinstance(config.technique, Engine) and names_engine)
@@ -72,6 +76,23 @@ def _preview(config: Config, technique: shadow.AbstractTechnique, seen: SeenScen
     io.write_png(file, shade_lit(config, seen.surface, seen.lit, visibility))
     dark = np.all([image < _SHADOWED for image in visibility], axis=0)
     return file, float((dark & np.asarray(seen.surface.mask)).mean())
+
+
+def _check_picture(config: Config, console: Console, preview: bool) -> Checked:
+    """Reads the picture, and makes all that a fit to it needs."""
+    folder_of(config)
+    with Stages(console) as stages:
+        planned = picture_plan(config, stages)
+    table.print_lines(console, planned.remarks, warn=True)
+    scene = planned.scene
+    triangles = int(scene.mesh.faces.shape[0])
+    if not preview:
+        return Checked(triangles)
+    with Stages(console) as stages:
+        technique = build_technique(config, fitting=False)
+        # A preview needs no reference.
+        seen = see(config.model_copy(update={"reference": TracedReference()}), scene, technique, stages)
+    return Checked(triangles, *_preview(config, technique, seen))
 
 
 def _check_shape(config: Config, console: Console) -> Checked:

@@ -21,6 +21,7 @@ from . import _record as record
 from ._engine import CODE
 from ._explained import fitted_images, unexplained
 from ._fitted import FittedRun, states_of
+from ._picture import run_picture
 from ._progress import Stages
 from ._setup import load
 from ._shape import run_shape
@@ -37,6 +38,8 @@ def run_fit(config: Config, *, console: Console) -> Path:
     """
     if config.fit.shape is not None:
         return run_shape(config, console=console)
+    if config.reference.type == "picture":
+        return run_picture(config, console=console)
     folder = folder_of(config)
     with Stages(console) as stages:
         fitted = fit_technique(config, stages)

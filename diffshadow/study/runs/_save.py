@@ -19,6 +19,7 @@ from ..remarks._verdict import verdict
 from . import _record as record
 from ._explained import fitted_images, unexplained
 from ._fitted import FittedRun, Images, States, states_of
+from ._picture import save_picture
 from ._progress import Stages
 from ._views import DrawnView, Views
 from ._write_fit import write_fit
@@ -47,7 +48,9 @@ def save_fit(result: fit.FitResult, folder: str | os.PathLike[str], *, names: Se
     """
     check_instance("what to save", result, fit.FitResult, "a FitResult, which fit.fit returns")
     into = checked_folder(folder)
-    kinds = fit.PoseProblem if result.arrangement is not None else fit.TechniqueProblem
+    kinds: Any = fit.TechniqueProblem
+    if result.arrangement is not None:
+        kinds = fit.PictureProblem if isinstance(result.problems[0], fit.PictureProblem) else fit.PoseProblem
     for problem in result.problems:
         check_instance("a problem of the fit", problem, kinds, f"a {kinds.__name__}")
     shapes = list(dict.fromkeys(tuple(problem.shape) for problem in result.problems))
@@ -59,6 +62,9 @@ def save_fit(result: fit.FitResult, folder: str | os.PathLike[str], *, names: Se
         )
     stages = Stages(Console(quiet=True))
     stages.seconds |= {"compiling": result.seconds_compiling, "fitting": result.seconds_running}
+    if kinds is fit.PictureProblem:
+        save_picture(result, _plan(result), into, into.resolve().name, stages.seconds)
+        return into
     with stages.stage("measuring"):
         fitted = _fitted(result, into.resolve().name, _names(result, names))
     write_fit(into, fitted, stages.seconds)

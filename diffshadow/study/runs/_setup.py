@@ -18,7 +18,7 @@ from ...config import (
     build_scene,
     build_shading,
 )
-from ...settings.reference import ImageReference, TracedReference
+from ...settings.reference import ImageReference, PictureReference, TracedReference
 from .._drawn import Drawn
 from ..remarks._framing import dark_scene
 from ..remarks._sight import blind_camera, blind_light
@@ -163,6 +163,9 @@ def visibility_of(
 
 def _image(config: Config) -> Float32[HostArray, "h w"] | None:
     """The visibility in the reference's file; `None` if the reference is traced."""
+    if isinstance(config.reference, PictureReference):
+        what = "is picture, to which the command fit alone compares; expected traced or image; change it"
+        raise _error(config, ("reference", "type"), what)
     if not isinstance(config.reference, ImageReference):
         return None
     path = ("reference", "path")
