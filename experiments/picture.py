@@ -118,13 +118,13 @@ def recover(scene: geometry.Scene, picture: Float[np.ndarray, "h w 3"], rng: np.
             first = float(np.clip(value + rng.uniform(-COLOUR_OFF, COLOUR_OFF), 0.01, 0.99))
             parameters.append(fit.Parameter(f"meshes.{i}.albedo.{name}", first, 0.0, 1.0, ""))
     found = fit.fit(problem, parameters, on_step=lambda step: None)
-    end = found.arrangement
-    camera, sun = start.camera.at(end.camera), end.lights[0].direction
-    colours = np.array([np.asarray(mesh.albedo.array) for mesh in end.meshes])
+    assert found.arrangement is not None
+    end = found.arrangement.placed(problem.scene)
+    colours = np.array([np.asarray(mesh.albedo[0]) for mesh in end.meshes])
     return Outcome(
-        100 * float(np.linalg.norm(camera.eye - scene.camera.eye)) / distance,
-        turn_between(camera, scene.camera),
-        _between(sun, truth.direction),
+        100 * float(np.linalg.norm(end.camera.eye - scene.camera.eye)) / distance,
+        turn_between(end.camera, scene.camera),
+        _between(end.light.pose().direction, truth.direction),
         float(np.abs(colours - np.array(list(ALBEDO.values()))).max()),
         found.errors[1],
         time.perf_counter() - began,

@@ -222,6 +222,16 @@ def test_border_of_worchel_and_alexas_target_is_dark():
     np.testing.assert_allclose(255 * border[128, :3], [240, 253, 255], atol=1)
 
 
+@pytest.mark.exhaustive
+def test_camera_sun_and_colours_are_recovered_from_a_traced_picture():
+    """With a quarter of the pixels, and bounds at the bars of the whole size."""
+    (found,) = importlib.import_module("picture").main(starts=1, resolution=64)
+    assert found.position < 0.1
+    assert found.turn < 0.05
+    assert found.sun < 0.05
+    assert found.colour < 0.005
+
+
 @pytest.mark.parametrize(
     ("experiment", "arguments", "said"),
     [
@@ -243,6 +253,7 @@ def test_border_of_worchel_and_alexas_target_is_dark():
         ("many_views", ["tiny.yaml"], "fit.views: is missing"),
         ("shapes", ["tiny.yaml"], "fit.shape: is missing"),
         ("worchel_alexa", ["."], "expected a clone"),
+        ("picture", ["--starts", "0"], "--starts: is 0; expected 1 or more"),
         ("scale_invariance", ["tiny.yaml", "scene.lights=[{}, {}]", "scene.light=null"], "expected one light"),
     ],
 )

@@ -10,6 +10,7 @@ import numpy as np
 from .._arithmetic import as_float
 from .._types import Scalar, Vec3
 from ..geometry import AbstractLight, CameraPose, LightPose, Mesh, Scene, Vector, rotation_less_one
+from ..settings.reference import PictureReference
 from ..shading import AbstractShading, Colour
 from ..shadow import ShadowMapping
 
@@ -111,14 +112,20 @@ class Arrangement(eqx.Module):
 
     @classmethod
     def of_picture(
-        cls, technique: ShadowMapping, scene: Scene, shading: AbstractShading, exposure: float = 0.0
+        cls,
+        technique: ShadowMapping,
+        scene: Scene,
+        shading: AbstractShading,
+        exposure: float = PictureReference.exposure,
     ) -> "Arrangement":
         """Everything in a picture of `scene` as it stands. Meshes of one colour have an `albedo`."""
         is_plain = [bool((np.asarray(mesh.albedo) == np.asarray(mesh.albedo)[0]).all()) for mesh in scene.meshes]
         meshes = [MeshPose.of(mesh, coloured=plain) for mesh, plain in zip(scene.meshes, is_plain, strict=True)]
         return cls.of(technique, scene.lights, meshes).pictured(scene, shading, exposure)
 
-    def pictured(self, scene: Scene, shading: AbstractShading, exposure: float = 0.0) -> "Arrangement":
+    def pictured(
+        self, scene: Scene, shading: AbstractShading, exposure: float = PictureReference.exposure
+    ) -> "Arrangement":
         """With what only pictures of `scene` show: the camera's pose, the `shading`, and the `exposure` in stops."""
         return dataclasses.replace(self, camera=scene.camera.pose(), shading=shading, exposure=as_float(exposure))
 

@@ -22,6 +22,7 @@ from diffshadow.config.sections._technique import COMPARES, TECHNIQUES, ShadowMa
 from diffshadow.config.sections._views import LossConfig
 from diffshadow.settings.engines import Engine
 from diffshadow.settings.techniques import FittedLayout, Mapped
+from diffshadow.shading import Colour
 
 # What makes a section without its other keys valid, and cheap to build.
 BASE: dict[str, Any] = {

@@ -162,7 +162,7 @@ def test_modulated_shadow_halves_by_default_and_leaves_the_background_alone():
         pixel(ModulatedShadow(), surface(), sun(), visibility=0.0), pixel(Phong(), surface(), sun()) / 2, rtol=1e-6
     )
     nothing = surface(normal=(0, 0, 0), mask=False)
-    np.testing.assert_allclose(pixel(ModulatedShadow(), nothing, sun(), visibility=0.0), Phong().background.array, rtol=1e-6)
+    np.testing.assert_allclose(pixel(ModulatedShadow(), nothing, sun(), visibility=0.0), Phong().background, rtol=1e-6)
 
 
 def test_modulated_shadows_of_several_lights_multiply():

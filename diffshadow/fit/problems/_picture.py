@@ -12,7 +12,7 @@ from ..._types import Scalar
 from ...geometry import AbstractCamera, AbstractLight, Edges, Mesh, Scene
 from ...raster import AntialiasedSurface, AntialiasPlan, draw_antialiased, plan_antialiasing
 from ...settings.fit import BLUR
-from ...settings.reference import Encoding
+from ...settings.reference import Encoding, PictureReference
 from ...shading import AbstractShading, Phong, to_srgb
 from ...shadow import MapSettings, Overflow, ShadowMap, ShadowMapping
 from .._arrangement import Arrangement
@@ -72,7 +72,7 @@ class PictureProblem(ArrangedProblem):
         shading: AbstractShading | None = None,
         mask: Bool[Array | np.ndarray, "h w"] | None = None,
         encoding: Encoding = "linear",
-        exposure: float = 0.0,
+        exposure: float = PictureReference.exposure,
         arrangement: Arrangement | None = None,
         surface: AntialiasedSurface | None = None,
     ) -> "PictureProblem":

@@ -16,6 +16,7 @@ from ... import io
 from ...config import SweepConfig
 from ...settings.engines import EngineName
 from ...settings.quantities import MAX_TEXELS
+from ...settings.reference import Encoding
 
 # Far more than any run writes.
 _MAX_BYTES = 64 << 20
@@ -353,7 +354,7 @@ class _Picture(_Run):
     """A fit made in Python has neither seed nor command, since it has no configuration."""
 
     kind: Literal["picture"]
-    encoding: Literal["linear", "srgb"]
+    encoding: Encoding
     seed: Seed | None = None
     command: str | None = None
     initial: Numbers
