@@ -10,7 +10,6 @@ import numpy as np
 from .._arithmetic import as_float
 from .._types import Scalar, Vec3
 from ..geometry import AbstractLight, CameraPose, LightPose, Mesh, Scene, Vector, rotation_less_one
-from ..settings.reference import PictureReference
 from ..shading import AbstractShading, Colour
 from ..shadow import ShadowMapping
 
@@ -116,16 +115,14 @@ class Arrangement(eqx.Module):
         technique: ShadowMapping,
         scene: Scene,
         shading: AbstractShading,
-        exposure: float = PictureReference.exposure,
+        exposure: float,
     ) -> "Arrangement":
         """Everything in a picture of `scene` as it stands. Meshes of one colour have an `albedo`."""
         is_plain = [bool((np.asarray(mesh.albedo) == np.asarray(mesh.albedo)[0]).all()) for mesh in scene.meshes]
         meshes = [MeshPose.of(mesh, coloured=plain) for mesh, plain in zip(scene.meshes, is_plain, strict=True)]
         return cls.of(technique, scene.lights, meshes).pictured(scene, shading, exposure)
 
-    def pictured(
-        self, scene: Scene, shading: AbstractShading, exposure: float = PictureReference.exposure
-    ) -> "Arrangement":
+    def pictured(self, scene: Scene, shading: AbstractShading, exposure: float) -> "Arrangement":
         """With what only pictures of `scene` show: the camera's pose, the `shading`, and the `exposure` in stops."""
         return dataclasses.replace(self, camera=scene.camera.pose(), shading=shading, exposure=as_float(exposure))
 

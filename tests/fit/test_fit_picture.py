@@ -52,7 +52,7 @@ def traced(arrangement, rays=8):
 
 
 def test_an_arrangement_of_a_picture_names_camera_colours_and_exposure():
-    arrangement = fit.Arrangement.of_picture(TECHNIQUE, SCENE, shading.Phong())
+    arrangement = fit.Arrangement.of_picture(TECHNIQUE, SCENE, shading.Phong(), 0.0)
     named = set(fit.parameter_names(arrangement))
     assert {"camera.eye.x", "camera.turn.z", "camera.fov_y", "meshes.1.albedo.red", "exposure"} <= named
     assert {"shading.ambient.blue", "shading.intensity.red", "shading.specular", "lights.0.azimuth"} <= named
@@ -60,7 +60,7 @@ def test_an_arrangement_of_a_picture_names_camera_colours_and_exposure():
     # Two colours of one mesh have no single one.
     two = dataclasses.replace(BOX, albedo=BOX.albedo.at[0].set(0.1))
     mixed = dataclasses.replace(SCENE, meshes=[FLOOR, two])
-    assert fit.Arrangement.of_picture(TECHNIQUE, mixed, shading.Phong()).meshes[1].albedo is None
+    assert fit.Arrangement.of_picture(TECHNIQUE, mixed, shading.Phong(), 0.0).meshes[1].albedo is None
 
 
 def test_a_mesh_takes_the_colour_of_its_pose():
