@@ -340,7 +340,7 @@ class _PictureErrors(_Part):
 
     rmse: Annotated[float, Field(ge=0)]
     mae: Annotated[float, Field(ge=0)]
-    flip: Fraction | None = None
+    flip: Annotated[float, Field(ge=0)] | None = None
 
 
 class _PictureMetrics(_Part):
