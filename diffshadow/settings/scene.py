@@ -27,6 +27,14 @@ LightKind = Literal["directional", "spot", "point"]
 """The lights of engines and of files."""
 
 
+class Cutout(Settings):
+    """The alpha test of a mesh."""
+
+    alpha_cutoff: Annotated[
+        float, Limits(0, 1), "alpha of the texture below which the mesh is cut out, as in foliage and fences"
+    ] = 0.5
+
+
 class Camera(Settings):
     """What an image is seen from."""
 
