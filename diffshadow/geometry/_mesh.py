@@ -17,8 +17,8 @@ from .._pictures import SIDE, as_html, draw_faces, is_known, lit
 from .._types import Faces, HostArray, Mat4, Vertices
 from ..settings import Setting
 from ..settings.quantities import Fraction
-from ._transforms import transform_points, transform_vectors
 from ._textures import Textures, merged
+from ._transforms import transform_points, transform_vectors
 from ._trimesh import Triangles, TriangleScene, parts_of
 
 # The albedo of a mesh without colours.
@@ -312,7 +312,9 @@ def _merged_colours(meshes: Sequence[Mesh]) -> Float[Array, "f 3 3"] | None:
         return None
     xp = array_module(*(mesh.corner_colours for mesh in meshes))
     white = lambda mesh: xp.ones((*mesh.faces.shape, 3), np.float32)
-    return xp.concatenate([white(mesh) if mesh.corner_colours is None else mesh.corner_colours for mesh in meshes])
+    return as_float(
+        xp.concatenate([white(mesh) if mesh.corner_colours is None else mesh.corner_colours for mesh in meshes])
+    )
 
 
 def face_colours(mesh: Mesh) -> Float[HostArray, "f 3"]:

@@ -72,7 +72,8 @@ def draw_shadow_map(
     **Raises** `ValueError` if `depth_layer` is unknown, if `edges` are given with another one than `"nearest"` or with
     `cull`, or without `crossings` under a trace, if `edges` or a `polygon_offset` are given for a warped map, or
     `edges` for one with pages or with cascades of several sizes, or a `shift` for any of these, or `edges` for a mesh
-    with an alpha test, whose cut outlines are no edges, and what `rasterize` raises; and a runtime error if the silhouettes have more `crossings`.
+    with an alpha test, whose cut outlines are no edges, and what `rasterize` raises; and a runtime error if the
+    silhouettes have more `crossings`.
 
     !!! Example
 

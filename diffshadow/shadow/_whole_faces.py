@@ -10,6 +10,6 @@ def check_whole_faces(casters: Mesh, what: str, mend: str) -> None:
     """
     if casters.alpha_test is not None:
         raise ValueError(
-            f"a mesh has an alpha test (alpha_cutoff), and {what} know the outlines of whole faces only, not those that "
-            f"an alpha test cuts; expected meshes without one: {mend}, or remove the cutoff"
+            f"a mesh has an alpha test (alpha_cutoff), and {what} know the outlines of whole faces only, not what it "
+            f"cuts out; expected meshes without one: {mend}, or remove the cutoff"
         )

@@ -1,0 +1,43 @@
+"""The alpha test against drawings by OpenGL's `discard`, and against rays."""
+
+from pathlib import Path
+
+import golden_cases
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from diffshadow.geometry import Textures
+from diffshadow.raster import rasterize
+
+FOLDER = Path(golden_cases.FOLDER) / "cutouts"
+FACES = 256
+
+
+def drawn(name):
+    """What OpenGL drew, and the arguments of `rasterize`; faces without area are added, so that all share a program."""
+    with np.load(FOLDER / f"{name}.npz") as stored:
+        golden = dict(stored)
+    images = [np.stack([alpha] * 4, axis=-1) for alpha in (golden["fence"], golden["foliage"])]
+    sizes = [image.shape[:2] for image in images]
+    starts = np.cumsum([0, *(h * w for h, w in sizes)])
+    table = [(start, *size) for start, size in zip(starts, sizes, strict=False)]
+    texels = np.concatenate([image.reshape(-1, 4) for image in images])
+    textures = Textures(golden["uv"], golden["index"], texels, table, golden["cutoffs"]).padded(FACES)
+    clip = np.zeros((3 * FACES, 4), np.float32)
+    clip[: len(golden["clip"])] = golden["clip"]
+    faces = np.zeros((FACES, 3), np.int32)
+    faces[: len(golden["faces"])] = golden["faces"]
+    return golden, (jnp.asarray(clip), jnp.asarray(faces), golden["winner"].shape), textures
+
+
+@pytest.mark.parametrize("name", ["fences", "behind_the_eye", "leaves"])
+def test_pixels_are_cut_out_as_by_opengl(name):
+    golden, given, textures = drawn(name)
+    seen = rasterize(*given, alpha_test=textures)
+    same = np.asarray(seen.face) == golden["winner"]
+    assert same.mean() >= 0.999
+    np.testing.assert_allclose(np.asarray(seen.depth)[same], golden["depth"][same], atol=4e-6)
+    # Many pixels are cut out, so that this tests something.
+    whole = np.asarray(rasterize(*given).face)
+    assert (whole != golden["winner"]).mean() > 0.1
