@@ -208,7 +208,9 @@ def merged(textures: list["Textures | None"], counts: list[int]) -> Textures | N
     xp = array_module(*(leaf for leaf in arrays if leaf is not None))
     is_tested = any(each.cutoff is not None for each in given)
     uv, index, texels, table, cutoff = [], [], [], [], []
-    texel = number = 0
+    number = texel = 0
+    # Meshes that share an array of texels share it here, too.
+    starts: dict[int, int] = {}
     for each, count in zip(textures, counts, strict=True):
         if each is None:
             uv.append(xp.zeros((count, 3, 2), given[0].uv.dtype))
@@ -216,9 +218,12 @@ def merged(textures: list["Textures | None"], counts: list[int]) -> Textures | N
             continue
         uv.append(each.uv)
         index.append(xp.where(xp.asarray(each.index) >= 0, xp.asarray(each.index) + number, NO_TEXTURE))
-        texels.append(each.texels)
-        table.append(xp.asarray(each.table) + np.array([texel, 0, 0], np.int32))
+        start = starts.setdefault(id(each.texels), texel)
+        if start == texel:
+            texels.append(each.texels)
+            texel += each.texels.shape[0]
+        table.append(xp.asarray(each.table) + np.array([start, 0, 0], np.int32))
         cutoff.append(xp.zeros(each.table.shape[0], each.texels.dtype) if each.cutoff is None else each.cutoff)
-        texel, number = texel + each.texels.shape[0], number + each.table.shape[0]
-    joined = (xp.concatenate(parts) for parts in (uv, index, texels, table))
-    return Textures(*joined, xp.concatenate(cutoff) if is_tested else None)
+        number += each.table.shape[0]
+    all_uv, all_index, all_texels, whole = (xp.concatenate(parts) for parts in (uv, index, texels, table))
+    return Textures(all_uv, all_index, all_texels, whole, xp.concatenate(cutoff) if is_tested else None)

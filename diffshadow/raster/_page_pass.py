@@ -78,6 +78,8 @@ class PagedDrawing(BufferDrawing):
         textures: Textures | None = None,
     ):
         self.textures = textures
+        size = pages.side, pages.side
+        self.alpha_test = None if textures is None else AlphaTest(textures, clip, faces, size)
         self.clip, self.faces, self.pages = clip, faces, pages
         self.facing = facing
         self.test, self.polygon_offset = test, polygon_offset

@@ -23,6 +23,8 @@ MESH_SUFFIXES = (*GLTF_SUFFIXES, ".obj", ".off", ".ply", ".stl")
 """The suffixes of mesh files that the package reads itself."""
 NO_MESH_SUFFIXES = ("", ".yaml", ".yml", ".json", ".txt")
 """Suffixes that never name a mesh where a configuration is expected."""
+MAX_TEXTURE = 8192
+"""The most texels of a texture along each side."""
 LightKind = Literal["directional", "spot", "point"]
 """The lights of engines and of files."""
 

@@ -256,6 +256,9 @@ def _file_keys(data: dict[str, Any]) -> Iterator[tuple[KeyPath, Any]]:
         file = mesh.get("path") if isinstance(mesh, dict) else None
         if isinstance(file, str) and file and not file.startswith(BUILTIN):
             yield (*path, "path"), mesh
+        texture = mesh.get("texture") if isinstance(mesh, dict) else None
+        if isinstance(texture, str) and texture:
+            yield (*path, "texture"), mesh
     if isinstance(reference, dict) and isinstance(reference.get("path"), str) and reference["path"]:
         yield ("reference", "path"), reference
 
