@@ -110,8 +110,9 @@ class Materials:
             return None
         try:
             form = self._buffers.form(index)
-            has_form = form is not None and form in forms
-            rows = self._buffers.values(index, form).astype(np.float64) if has_form else np.zeros((0, 1))
+            rows = np.zeros((0, 1))
+            if form is not None and form in forms:
+                rows = self._buffers.values(index, form).astype(np.float64)
         except (MeshError, NoDataError):
             rows = np.zeros((0, 1))
         if len(rows) == count and np.isfinite(rows).all():
