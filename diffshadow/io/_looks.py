@@ -69,9 +69,14 @@ class MeshLooks(NamedTuple):
 
 
 def looks_of_triangles(
-    looks: Looks, triangles: Int[HostArray, "t 3"], polygon: Int[HostArray, " t"], texture: Texture | None
+    looks: Looks,
+    triangles: Int[HostArray, "t 3"],
+    polygon: Int[HostArray, " t"],
+    texture: Texture | None,
+    cutoff: float | None,
 ) -> MeshLooks:
-    """How triangles of a file's vertices look, each a part of a `polygon`; `texture` takes the place of all textures.
+    """How triangles of a file's vertices look, each a part of a `polygon`; `texture` and `cutoff`, if given, take the
+    place of the file's own.
 
     **Raises** `MeshError` if a texture is given and there are no texture coordinates.
     """
@@ -90,6 +95,8 @@ def looks_of_triangles(
     uv = looks.uv[triangles]
     if not np.isfinite(uv).all():
         raise MeshError("has texture coordinates that are NaN or infinite; export it again")
+    if cutoff is not None:
+        textures = [one._replace(cutoff=cutoff) for one in textures]
     return MeshLooks(factor, colours, _flattened(textures, uv, index))
 
 

@@ -1,6 +1,5 @@
 """Reads meshes."""
 
-import dataclasses
 import functools
 import os
 import warnings
@@ -163,16 +162,13 @@ def _looks(
     **Raises** `MeshError` for a texture without coordinates, and a cutoff without textures.
     """
     polygon = np.repeat(np.arange(len(polygons.sizes)), np.maximum(polygons.sizes - 2, 0))[number]
-    looks = looks_of_triangles(polygons.looks or Looks(), triangles, polygon, texture)
-    if alpha_cutoff is None:
-        return looks
-    if looks.textures is None:
+    looks = looks_of_triangles(polygons.looks or Looks(), triangles, polygon, texture, alpha_cutoff)
+    if alpha_cutoff is not None and looks.textures is None:
         raise MeshError(
             f"has no textures, and alpha_cutoff {alpha_cutoff} was given; expected a texture with it: give one, or "
             "leave alpha_cutoff out"
         )
-    cutoff = np.full(looks.textures.table.shape[0], alpha_cutoff)
-    return looks._replace(textures=dataclasses.replace(looks.textures, cutoff=cutoff))
+    return looks
 
 
 def _reader(file: Path) -> Callable[[bytes, Path], Polygons]:
