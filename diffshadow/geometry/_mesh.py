@@ -198,7 +198,7 @@ class Mesh(eqx.Module):
         """
         count, vertices = self.faces.shape[0], self.vertices.shape[0]
         faces, size = shared_mesh_size(count, vertices) if to is None else to
-        has_its_size = (count, vertices) == (faces, size) and self.textures is None
+        has_its_size = (count, vertices) == (faces, size) and (self.textures is None or self.textures.is_padded)
         if has_its_size or any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(self)):
             return self
         corner = int(np.asarray(self.faces)[0, 0])

@@ -143,11 +143,20 @@ class Textures(eqx.Module):
         joined = [as_array(xp.concatenate(pair)) for pair in pairs]
         return eqx.tree_at(lambda one: (one.uv, one.index), self, joined)
 
+    @property
+    def _padded_size(self) -> tuple[int, int]:
+        """The numbers of texels and of textures after padding."""
+        texels, table = self.texels.shape[0], self.table.shape[0]
+        return shared_size(texels), max(round_up_to_power_of_two(table), _FEWEST)
+
+    @property
+    def is_padded(self) -> bool:
+        """Whether the texels and the table have one of few sizes."""
+        return (self.texels.shape[0], self.table.shape[0]) == self._padded_size
+
     def padded(self, faces: int) -> "Textures":
         """With further faces, texels and textures, none of them seen, so that arrays have one of few sizes."""
-        texels, table = self.texels.shape[0], self.table.shape[0]
-        count = max(round_up_to_power_of_two(table), _FEWEST)
-        size = max(round_up_to_power_of_two(texels), shared_size(1))
+        size, count = self._padded_size
         more = [
             padded_to(self.uv, faces),
             padded_to(self.index, faces, NO_TEXTURE),

@@ -97,10 +97,10 @@ def scenes() -> Iterator[Scene]:
     ]
     yield _scene("behind_the_eye", parts, [0, 1, -1])
     random = np.random.default_rng(11)
-    soup = random.uniform((-2, -1.6, -7), (2, 1.6, -2), (150, 1, 3)) + random.normal(0, 0.5, (150, 3, 3))
-    faces = np.arange(450).reshape(150, 3)
+    soup = random.uniform((-2, -1.6, -7), (2, 1.6, -2), (80, 1, 3)) + random.normal(0, 0.5, (80, 3, 3))
+    faces = np.arange(240).reshape(80, 3)
     clip = perspective(soup.reshape(-1, 3), ASPECT)
-    yield Scene("leaves", clip, faces, random.uniform(-2, 2, (150, 3, 2)), random.integers(-1, 2, 150))
+    yield Scene("leaves", clip, faces, random.uniform(-2, 2, (80, 3, 2)), random.integers(-1, 2, 80))
 
 
 def _scene(name: str, parts, index: list[int]) -> Scene:

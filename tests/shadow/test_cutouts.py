@@ -5,7 +5,7 @@ import functools
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import LAMP, LIGHTS, SLANTED, fence, fence_over_floor, side_camera
+from scenes import LAMP, LIGHTS, SLANTED, fence, fence_over_floor, marked, side_camera
 
 from diffshadow.geometry import DirectionalLight, OrthographicCamera, PointLight, Scene, merge
 from diffshadow.raster import draw_surface
@@ -52,7 +52,7 @@ def test_rays_pass_through_what_is_cut_out_as_pixels_do():
     assert np.mean(whole != truth) > 0.03
 
 
-@pytest.mark.parametrize("light", ["directional", "spot", "point"])
+@pytest.mark.parametrize("light", marked(["directional", "spot", "point"], exhaustive={"spot", "point"}))
 def test_shadows_of_gaps_are_lit_by_rays_in_single_and_double_precision_and_by_points(light):
     truth, exact = traced(light), trace_visibility_exact(scene(light))
     dark = (truth.visibility == 0) & (truth.face < 2) & truth.mask
@@ -79,7 +79,13 @@ def test_a_map_holds_what_rays_from_the_light_meet():
     assert (truth.face >= 2).sum() > 100
 
 
-@pytest.mark.parametrize("technique", [ThreeJs(resolution=(256, 256), side="double"), ProjectiveShadow((256, 256))])
+@pytest.mark.parametrize(
+    "technique",
+    [
+        pytest.param(ThreeJs(resolution=(256, 256), side="double"), marks=pytest.mark.exhaustive, id="three.js"),
+        pytest.param(ProjectiveShadow((256, 256)), id="projective"),
+    ],
+)
 def test_all_maps_have_gaps(technique):
     truth = traced("spot")
     light, casts = scene("spot").light, [False, True]
