@@ -164,11 +164,12 @@ class Textures(eqx.Module):
             padded_to(self.table, count, np.array([0, 1, 1])),
             None if self.cutoff is None else padded_to(self.cutoff, count),
         ]
-        names = ("uv", "index", "texels", "table", "cutoff")
-        # Without the checks of textures from outside.
-        return eqx.tree_at(
-            lambda one: [getattr(one, name) for name in names], self, more, is_leaf=lambda leaf: leaf is None
-        )
+        return self._with(*more)
+
+    def _with(self, *arrays: Any) -> "Textures":
+        """With these arrays as fields, in their order, without the checks of textures from outside."""
+        fields = lambda one: [one.uv, one.index, one.texels, one.table, one.cutoff]
+        return eqx.tree_at(fields, self, list(arrays), is_leaf=lambda leaf: leaf is None)
 
 
 def linear_colours(encoded: Float[HostArray, "*n c"]) -> Float[HostArray, "*n c"]:
@@ -226,7 +227,7 @@ def merged(textures: list["Textures | None"], counts: list[int]) -> Textures | N
             index.append(xp.full(count, NO_TEXTURE, np.int32))
             continue
         uv.append(each.uv)
-        index.append(xp.where(xp.asarray(each.index) >= 0, xp.asarray(each.index) + number, NO_TEXTURE))
+        index.append(xp.where(xp.asarray(each.index) >= 0, xp.asarray(each.index) + number, np.int32(NO_TEXTURE)))
         start = starts.setdefault(id(each.texels), texel)
         if start == texel:
             texels.append(each.texels)
@@ -234,5 +235,7 @@ def merged(textures: list["Textures | None"], counts: list[int]) -> Textures | N
         table.append(xp.asarray(each.table) + np.array([start, 0, 0], np.int32))
         cutoff.append(xp.zeros(each.table.shape[0], each.texels.dtype) if each.cutoff is None else each.cutoff)
         number += each.table.shape[0]
-    all_uv, all_index, all_texels, whole = (xp.concatenate(parts) for parts in (uv, index, texels, table))
-    return Textures(all_uv, all_index, all_texels, whole, xp.concatenate(cutoff) if is_tested else None)
+    joined = [xp.concatenate(parts) for parts in (uv, index, texels, table)]
+    joined.append(xp.concatenate(cutoff) if is_tested else None)
+    # Each was checked before.
+    return given[0]._with(*(None if array is None else as_array(array) for array in joined))

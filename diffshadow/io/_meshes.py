@@ -31,6 +31,8 @@ _READERS: Mapping[str, Callable[[bytes, Path], Polygons]] = {
     ".ply": lambda data, _: read_ply(data),
     ".stl": lambda data, _: read_stl(data),
 }
+# Of the images that were read last, so many are kept for meshes that share them.
+_IMAGES_KEPT = 8
 # Coordinates beyond this are infinite in float32.
 _MOST = float(np.finfo(np.float32).max)
 # Coordinates this close to whole steps, as a part of a step, were rounded to these.
@@ -144,7 +146,7 @@ def _image(path: str | os.PathLike[str]) -> Picture:
         raise FileError(f"cannot read the texture {file}: {error.strerror or error}") from error
 
 
-@functools.lru_cache(maxsize=32)
+@functools.lru_cache(maxsize=_IMAGES_KEPT)
 def _read_image(file: Path, time: int, size: int) -> Picture:
     """An image file that was last changed at this time: one array for all meshes that have it."""
     return read_texture(file.read_bytes(), str(file))

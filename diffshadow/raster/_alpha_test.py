@@ -35,15 +35,18 @@ class Cutouts(NamedTuple):
 
 
 class AlphaForm(NamedTuple):
-    """Texture coordinates of triangles about a pixel of each one's own, (n,) each.
+    """Texture coordinates of triangles about the pixel of each one's first corner, (n,) each.
 
     At `i` pixels to the right and `j` above that pixel, the coordinates are `u / w` and `v / w`, where each of the
-    three is its first number, plus `i` times its second, plus `j` times its third.
+    three is its first number, plus `i` times its second, plus `j` times its third. A window begins `x` to the right and
+    `y` above. So a pixel has the same coordinates whatever part of an image it is drawn with.
     """
 
     u: list[Float[Array, " n"]]
     v: list[Float[Array, " n"]]
     w: list[Float[Array, " n"]]
+    x: Int[Array, " n"]
+    y: Int[Array, " n"]
     texture: Int[Array, " n"]
 
 
@@ -63,15 +66,16 @@ class AlphaTest:
         self.uv = textures.uv - jnp.floor(textures.uv[:, :1])
 
     def form(self, face: Int[Array, " n"], x: Int[Array, " n"], y: Int[Array, " n"]) -> AlphaForm:
-        """The texture coordinates of faces about the pixels (`x`, `y`) of the image."""
+        """The texture coordinates of faces in windows that begin at the pixels (`x`, `y`) of the image."""
         corners, uv = take(self.clip, take(self.faces, face)), take(self.uv, face)
         # In single precision, whatever is the default.
         height, width = (jnp.asarray(size, jnp.float32) for size in self.resolution)
         centre = lambda pixel, size: (pixel.astype(jnp.float32) + 0.5) * (2 / size) - 1
         w = [corners[:, k, 3] for k in range(3)]
+        first_x, first_y = (self._pixel(corners[:, 0, axis], w[0], size) for axis, size in enumerate((width, height)))
         xs, ys = (
             [corners[:, k, axis] - at * w[k] for k in range(3)]
-            for axis, at in enumerate((centre(x, width), centre(y, height)))
+            for axis, at in enumerate((centre(first_x, width), centre(first_y, height)))
         )
         pairs = ((1, 2), (2, 0), (0, 1))
         along_x, along_y, here = (
@@ -81,14 +85,20 @@ class AlphaTest:
         total = lambda values: [_sum_of(row, values) for row in rows]
         ones = [jnp.ones_like(values) for values in w]
         u, v = ([uv[:, k, axis] for k in range(3)] for axis in range(2))
-        return AlphaForm(total(u), total(v), total(ones), take(self.index, face))
+        return AlphaForm(total(u), total(v), total(ones), x - first_x, y - first_y, take(self.index, face))
+
+    @staticmethod
+    def _pixel(at: Float[Array, " n"], w: Float[Array, " n"], size: Float[Array, ""]) -> Int[Array, " n"]:
+        """The pixel of a clip coordinate, or the one nearest to it in the image; any for a corner behind the eye."""
+        place = (safe_divide(at, jnp.maximum(w, 0)) * 0.5 + 0.5) * size
+        return jnp.clip(place, 0, size - 1).astype(jnp.int32)
 
     def passes(self, form: AlphaForm, side: int) -> Bool[Array, "n side side"]:
         """Which of the `side` x `side` pixels from each triangle's own are not cut out."""
         i = jnp.arange(side, dtype=jnp.int32)
-        j = i[:, None]
         each = lambda values: values[:, None, None]
-        u, v, w = (each(first) + each(right) * i + each(up) * j for first, right, up in form[:3])
+        x, y = (each(form.x) + i).astype(jnp.float32), (each(form.y) + i[:, None]).astype(jnp.float32)
+        u, v, w = (each(first) + each(right) * x + each(up) * y for first, right, up in form[:3])
         uv = jnp.stack([safe_divide(u, w), safe_divide(v, w)], axis=-1)
         return self.cutouts.passes(jnp.broadcast_to(each(form.texture), u.shape), uv)
 

@@ -3,12 +3,13 @@
 from pathlib import Path
 
 import golden_cases
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diffshadow.geometry import Textures
-from diffshadow.raster import rasterize
+from diffshadow.geometry import Pages, Textures
+from diffshadow.raster import _band_pass, rasterize
 
 FOLDER = Path(golden_cases.FOLDER) / "cutouts"
 # As small meshes are padded, so that all share a program.
@@ -42,3 +43,30 @@ def test_pixels_are_cut_out_as_by_opengl(name):
     # Many pixels are cut out, so that this tests something.
     whole = np.asarray(rasterize(*given).face)
     assert (whole != golden["winner"]).mean() > 0.1
+
+
+@pytest.mark.exhaustive
+def test_pages_are_cut_out_as_the_whole_map(monkeypatch):
+    _, (clip, faces, _), textures = drawn("behind_the_eye")
+    whole = np.asarray(rasterize(clip, faces, (64, 64), alpha_test=textures).face)
+    pages = Pages.of(jnp.ones(Pages.total(3), bool), 16, 6, 3, 22)
+    found = np.asarray(rasterize(clip, faces, (28, 28), pages=pages, alpha_test=textures).face)
+    assert (whole >= 0).mean() > 0.3
+    for layer, (x, y) in enumerate(np.asarray(pages.tile.origin)[:16]):
+        np.testing.assert_array_equal(found[layer], whole[y : y + 28, x : x + 28])
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("way", ["bands", "gpu"])
+def test_large_images_and_gpus_cut_out_the_same(way, monkeypatch):
+    _, (clip, faces, _), textures = drawn("behind_the_eye")
+    # A shape of its own, since programs are found again by their shapes.
+    resolution = (103, 91)
+    expected = rasterize(clip, faces, resolution, alpha_test=textures)
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu" if way == "gpu" else "cpu")
+    if way == "bands":
+        for name, value in (("_MAX_IN_ONE", 0), ("_MIN_BYTES", 1), ("_MIN_ROWS", 20)):
+            monkeypatch.setattr(_band_pass, name, value)
+        assert _band_pass.bands_of(resolution, 8) > 1
+    found = jax.jit(lambda clip: rasterize(clip, faces, resolution, alpha_test=textures))(clip)
+    assert np.mean(np.asarray(found.face) == np.asarray(expected.face)) >= 0.999
