@@ -108,7 +108,7 @@ def _flattened(textures: Sequence[Texture], uv: Float[HostArray, "t 3 2"], index
     first = np.cumsum([0, *sizes.prod(axis=1)])[:-1]
     texels = [textures[number].picture.texels for number in some]
     cutoffs = [textures[number].cutoff for number in some]
-    cutoff = None if all(one is None for one in cutoffs) else np.array([one or 0.0 for one in cutoffs])
+    cutoff = None if not any(cutoffs) else np.array([one or 0.0 for one in cutoffs])
     table = np.concatenate([first[:, None], sizes], axis=1)
     # In single precision even where a mesh's vertices are not.
     with jax.enable_x64(False):

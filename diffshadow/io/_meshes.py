@@ -70,7 +70,8 @@ def load_mesh(
         file without these.
     - `texture`: the file of an image, sRGB, that takes the place of all textures; the file must have texture
         coordinates, which are read from OBJ, PLY, GLB and glTF.
-    - `alpha_cutoff`: alpha of textures, in [0, 1], below which faces are cut out; if left out, as the file says.
+    - `alpha_cutoff`: alpha of textures, in [0, 1], below which faces are cut out; 0 for no alpha test; if left out, as
+        the file says.
 
     **Returns:** the mesh in the file's units and axes; use `fit_to_size` and `drop_to_ground` to place it in a scene.
     Under `jax.enable_x64` its vertices are float64, which a mesh far from the file's origin needs.

@@ -11,5 +11,5 @@ def check_whole_faces(casters: Mesh, what: str, mend: str) -> None:
     if casters.alpha_test is not None:
         raise ValueError(
             f"a mesh has an alpha test (alpha_cutoff), and {what} know the outlines of whole faces only, not what it "
-            f"cuts out; expected meshes without one: {mend}, or remove the cutoff"
+            f"cuts out; expected meshes without one: {mend}, or set alpha_cutoff to 0"
         )

@@ -110,6 +110,7 @@ def test_ply_has_colours_and_coordinates_of_vertices(tmp_path):
     np.testing.assert_allclose(found.corner_colours, colours[np.asarray(cut.faces)], atol=1e-6)
     np.testing.assert_allclose(found.textures.uv, uv[np.asarray(cut.faces)], atol=1e-6)
     assert found.alpha_test is not None
+    assert io.load_mesh(tmp_path / "a.ply", texture=tmp_path / "a.png", alpha_cutoff=0.0).alpha_test is None
     text = "ply\nformat ascii 1.0\nelement vertex 3\n" + "".join(f"property float {axis}\n" for axis in "xyz")
     text += "".join(f"property uchar {name}\n" for name in ("red", "green", "blue"))
     text += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"

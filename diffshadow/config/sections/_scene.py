@@ -49,7 +49,7 @@ class MeshConfig(Section):
     )
     alpha_cutoff: Annotated[
         Annotated[float, Limits(0, 1)] | None,
-        "alpha of the texture below which the mesh is cut out; default: as a GLB or glTF file says",
+        "alpha of the texture below which the mesh is cut out, 0 for none of it; default: as a GLB or glTF file says",
     ] = None
     casts: Annotated[
         bool, "whether it casts shadows, or only receives them; reference.blockers can let it block rays"
