@@ -26,6 +26,7 @@ from diffshadow.geometry import (
     PinholeCamera,
     Scene,
     SpotLight,
+    Textures,
     merge,
 )
 from diffshadow.raster import Surface, draw_surface
@@ -307,3 +308,19 @@ class Programs:
             return Solution(end, np.zeros(2), np.ones(2), images, slopes, np.ones(1), 0, RESULTS.successful)
 
         return program
+
+
+def fence(cutoff: float | None = 0.5) -> Mesh:
+    """An upright card whose texture's alpha is that of bars, with the gaps between them cut out."""
+    row, column = np.indices((16, 24))
+    alpha = np.where((column % 8 < 3) | (row % 8 < 2), 1.0, 0.1)
+    image = np.concatenate([np.random.default_rng(5).uniform(0, 1, (16, 24, 3)), alpha[..., None]], axis=-1)
+    card = quad((0, 0.6, 0), (1.0, 0, 0.2), (0, 0.5, 0.1))
+    corners = np.array([(0, 0), (2.5, 0), (2.5, 2), (0, 2)])
+    textures = Textures.of(image, corners[np.asarray(card.faces)], cutoff)
+    return Mesh(card.vertices, card.faces, card.corner_normals, textures=textures)
+
+
+def fence_over_floor() -> tuple[Mesh, Mesh]:
+    """A floor and a fence over it."""
+    return quad((0, 0, 0), (3, 0, 0), (0, 0, -3)), fence()

@@ -21,6 +21,7 @@ from ._ground import up_of as up_of
 from ._ground import y_up as y_up
 from ._library import LIBRARY, OptionError, library_mesh
 from ._mesh import Mesh, MeshLike, as_mesh, face_normals, merge
+from ._mesh import face_colours as face_colours
 from ._normals import crease_normals, weld
 from ._origin import WORLD, Origin, PrecisionWarning
 from ._origin import origin_of as origin_of
@@ -33,6 +34,10 @@ from ._pages import side_of as side_of
 from ._placement import drop_to_ground, fit_to_size
 from ._scene import Scene
 from ._subdivide import split_in_four
+from ._textures import NO_TEXTURE, Textures
+from ._textures import bilinear as bilinear
+from ._textures import linear_colours as linear_colours
+from ._textures import scaled_cutoff as scaled_cutoff
 from ._transforms import (
     frame,
     look_at,
@@ -55,6 +60,7 @@ from .lights import Domain as Domain
 
 __all__ = [
     "LIBRARY",
+    "NO_TEXTURE",
     "WORLD",
     "AbstractCamera",
     "AbstractLight",
@@ -76,6 +82,7 @@ __all__ = [
     "RectangleLight",
     "Scene",
     "SpotLight",
+    "Textures",
     "View",
     "as_mesh",
     "crease_normals",

@@ -14,12 +14,15 @@ from .._arithmetic import array_module, as_float, as_int, concrete, normalize
 from .._checks import check_instance, listed
 from .._padding import padded_to, shared_mesh_size
 from .._pictures import SIDE, as_html, draw_faces, is_known, lit
-from .._types import Faces, Mat4, Vertices
+from .._types import Faces, HostArray, Mat4, Vertices
 from ..settings import Setting
 from ..settings.quantities import Fraction
+from ._textures import Textures, merged
 from ._transforms import transform_points, transform_vectors
 from ._trimesh import Triangles, TriangleScene, parts_of
 
+# The albedo of a mesh without colours.
+_GREY = 0.8
 # From where a mesh is shown.
 _FROM = np.array([0.8, 0.7, 1.0])
 
@@ -45,10 +48,14 @@ class Mesh(eqx.Module):
     - `faces`: (f, 3), indices into `vertices`, anticlockwise seen from outside.
     - `corner_normals`: (f, 3, 3), a unit shading normal for each corner of each face, so that creases have one per
         side. Defaults to the face normals.
-    - `albedo`: (f, 3), diffuse colour in [0, 1]. Defaults to light grey.
+    - `albedo`: (f, 3), diffuse colour in [0, 1]. Defaults to light grey; to white with `corner_colours` or `textures`.
+    - `corner_colours`: (f, 3, 3), a colour in [0, 1] for each corner of each face; or none.
+    - `textures`: of the faces; or none.
 
-    **Raises** `ValueError` if there is no face, a vertex is not finite, a face has an index out of range, an albedo is
-    out of its range, or an array has another shape or type.
+    The diffuse colour of a point is `albedo`, times the mean of the corners' colours there, times the texture's.
+
+    **Raises** `ValueError` if there is no face, a vertex is not finite, a face has an index out of range, an albedo or
+    a colour is out of its range, or an array has another shape or type.
 
     !!! Example
 
@@ -62,8 +69,18 @@ class Mesh(eqx.Module):
     faces: Faces
     corner_normals: Float[Array, "f 3 3"]
     albedo: Float[Array, "f 3"]
+    corner_colours: Float[Array, "f 3 3"] | None = None
+    textures: Textures | None = None
 
-    def __init__(self, vertices: Any, faces: Any, corner_normals: Any = None, albedo: Any = 0.8):
+    def __init__(
+        self,
+        vertices: Any,
+        faces: Any,
+        corner_normals: Any = None,
+        albedo: Any = None,
+        corner_colours: Any = None,
+        textures: Textures | None = None,
+    ):
         self.vertices = as_float(vertices)
         self.faces = _as_faces(faces)
         if self.vertices.ndim != 2 or self.vertices.shape[1] != 3:
@@ -76,8 +93,22 @@ class Mesh(eqx.Module):
             else:
                 corner_normals = np.zeros((*self.faces.shape, 3))
         self.corner_normals = as_float(corner_normals)
+        if albedo is None:
+            albedo = _GREY if corner_colours is None and textures is None else 1.0
         xp = array_module(albedo, self.faces)
         self.albedo = as_float(xp.broadcast_to(xp.asarray(albedo), self.faces.shape))
+        self.corner_colours = None if corner_colours is None else as_float(corner_colours)
+        self.textures = textures
+        if self.corner_colours is not None and self.corner_colours.shape != (*self.faces.shape, 3):
+            raise ValueError(
+                f"the mesh's corner_colours have shape {self.corner_colours.shape}; expected {(*self.faces.shape, 3)}, "
+                "a colour for each corner of each face"
+            )
+        if textures is not None and textures.index.shape != self.faces.shape[:1]:
+            raise ValueError(
+                f"the mesh's textures are for {textures.index.shape[0]} faces; expected {self.faces.shape[0]}, as many "
+                "as the mesh has"
+            )
 
     def __check_init__(self):
         faces, vertices = concrete(self.faces), concrete(self.vertices)
@@ -89,9 +120,12 @@ class Mesh(eqx.Module):
                 f"{len(bad)} of the mesh's {len(vertices)} vertices are NaN or infinite (the first is vertex "
                 f"{bad[0]}); expected finite coordinates: repair the mesh"
             )
-        albedo, limits = concrete(self.albedo), Setting.of(Fraction).limits
-        if albedo is not None and not ((albedo >= limits.low) & (albedo <= limits.high)).all():
-            raise ValueError(f"the mesh's albedo is {listed(albedo[0])} and so on; expected numbers {limits.words}")
+        limits = Setting.of(Fraction).limits
+        for name in ("albedo", "corner_colours"):
+            colours = None if getattr(self, name) is None else concrete(getattr(self, name))
+            if colours is not None and not ((colours >= limits.low) & (colours <= limits.high)).all():
+                first = colours.reshape(-1, 3)[0]
+                raise ValueError(f"the mesh's {name} is {listed(first)} and so on; expected numbers {limits.words}")
         if faces is not None and (faces.min() < 0 or faces.max() >= self.vertices.shape[0]):
             raise ValueError(
                 f"the mesh's faces use vertices {faces.min()} to {faces.max()}, but it has {self.vertices.shape[0]}; "
@@ -108,7 +142,8 @@ class Mesh(eqx.Module):
 
         - `given`: a `trimesh.Trimesh`; a `trimesh.Scene`, whose meshes are merged with the transforms of its graph; or
             an object with `vertices` (v, 3) and triangular `faces` (f, 3). Colours of faces, vertices and materials
-            become albedo as they are, and textures are ignored.
+            become albedo as they are. A texture of base colour needs texture coordinates (`visual.uv`); its colours
+            are sRGB, and linear here. A glTF material's alpha test is obeyed.
         - `crease_angle`: degrees; edges bent by more are shaded sharp (`crease_normals`). None for the object's own
             `vertex_normals`.
 
@@ -122,17 +157,24 @@ class Mesh(eqx.Module):
     def to_trimesh(self) -> Any:
         """A `trimesh.Trimesh` of the same vertices and faces in the same order, with the albedo as colours of faces.
 
-        Colours have 8 bits. The normals are trimesh's own, since it has none for corners.
+        Colours have 8 bits; a face whose colour varies has its mean colour. The normals are trimesh's own, since it has
+        none for corners.
         """
         import trimesh  # which takes long to load
 
-        colours = np.round(255 * np.asarray(self.albedo)).astype(np.uint8)
+        colours = np.round(255 * face_colours(self)).astype(np.uint8)
         return trimesh.Trimesh(np.asarray(self.vertices), np.asarray(self.faces), face_colors=colours, process=False)
 
     def transformed(self, matrix: Mat4) -> "Mesh":
         """The mesh under an affine `matrix`, normals under its inverse transpose; a reflection flips the faces."""
         vertices, faces, normals = _transformed(matrix, self.vertices, self.faces, self.corner_normals)
-        return Mesh(vertices, faces, normals, self.albedo)
+        colours, textures = self.corner_colours, self.textures
+        if colours is not None or textures is not None:
+            mirrored = jnp.linalg.det(matrix[:3, :3]) < 0
+            turned = lambda corners: jnp.where(mirrored, corners[:, ::-1], corners)
+            colours = None if colours is None else turned(colours)
+            textures = None if textures is None else eqx.tree_at(lambda one: one.uv, textures, turned(textures.uv))
+        return Mesh(vertices, faces, normals, self.albedo, colours, textures)
 
     def _repr_html_(self) -> str | None:
         """A picture from above the front's right."""
@@ -143,7 +185,7 @@ class Mesh(eqx.Module):
         axes = np.stack([each / np.linalg.norm(each) for each in (right, np.cross(_FROM, right), -_FROM)], axis=-1)
         half = max(float(np.linalg.norm(high - low)) / 2, np.finfo(np.float32).tiny)
         seen = (np.asarray(self.vertices) - (low + high) / 2) @ axes / half
-        colours = lit(np.asarray(face_normals(self)), _FROM, np.asarray(self.albedo))
+        colours = lit(np.asarray(face_normals(self)), _FROM, face_colours(self))
         image = draw_faces(np.append(seen, np.ones((len(seen), 1)), axis=1), faces, colours, (SIDE, SIDE))
         size = " x ".join(f"{length:.3g}" for length in high - low)
         return as_html(f"Mesh: {len(faces):,} triangles, {len(seen):,} vertices, {size} world units", image)
@@ -156,7 +198,8 @@ class Mesh(eqx.Module):
         """
         count, vertices = self.faces.shape[0], self.vertices.shape[0]
         faces, size = shared_mesh_size(count, vertices) if to is None else to
-        if (count, vertices) == (faces, size) or any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(self)):
+        has_its_size = (count, vertices) == (faces, size) and (self.textures is None or self.textures.is_padded)
+        if has_its_size or any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(self)):
             return self
         corner = int(np.asarray(self.faces)[0, 0])
         arrays = [
@@ -165,8 +208,17 @@ class Mesh(eqx.Module):
             padded_to(self.corner_normals, faces),
             padded_to(self.albedo, faces),
         ]
+        if self.corner_colours is not None:
+            arrays.append(padded_to(self.corner_colours, faces))
+        if self.textures is not None:
+            arrays += jax.tree.leaves(self.textures.padded(faces))
         # Without the checks of a mesh from outside, which take longer.
         return jax.tree.unflatten(jax.tree.structure(self), jax.device_put(arrays))
+
+    @property
+    def alpha_test(self) -> Textures | None:
+        """The textures if some of them cut out their faces; none if all faces are whole."""
+        return None if self.textures is None or self.textures.cutoff is None else self.textures
 
     @property
     def bounds(self) -> Float[Array, "2 3"]:
@@ -183,7 +235,7 @@ MeshLike = Mesh | Triangles | TriangleScene
 def meshes_of(given: Triangles | TriangleScene, crease_angle: float | int | None = 30.0) -> list[Mesh]:
     """As `Mesh.from_trimesh`, with a mesh for each node of a scene."""
     return [
-        Mesh(part.vertices, part.faces, part.normals, **({} if part.albedo is None else {"albedo": part.albedo}))
+        Mesh(part.vertices, part.faces, part.normals, part.albedo, part.corner_colours, part.textures)
         for part in parts_of(given, crease_angle)
     ]
 
@@ -249,4 +301,29 @@ def merge(meshes: Sequence[MeshLike]) -> Mesh:
         xp.concatenate([xp.asarray(mesh.faces) + int(start) for mesh, start in zip(meshes, starts, strict=False)]),
         xp.concatenate([mesh.corner_normals for mesh in meshes]),
         xp.concatenate([mesh.albedo for mesh in meshes]),
+        _merged_colours(meshes),
+        merged([mesh.textures for mesh in meshes], [mesh.faces.shape[0] for mesh in meshes]),
     )
+
+
+def _merged_colours(meshes: Sequence[Mesh]) -> Float[Array, "f 3 3"] | None:
+    """The colours of corners of all `meshes`; white where a mesh has none. None if no mesh has any."""
+    if all(mesh.corner_colours is None for mesh in meshes):
+        return None
+    xp = array_module(*(mesh.corner_colours for mesh in meshes))
+    white = lambda mesh: xp.ones((*mesh.faces.shape, 3), np.float32)
+    return as_float(
+        xp.concatenate([white(mesh) if mesh.corner_colours is None else mesh.corner_colours for mesh in meshes])
+    )
+
+
+def face_colours(mesh: Mesh) -> Float[HostArray, "f 3"]:
+    """One colour for each face of a mesh whose values are known: its albedo, times the mean colour of its corners and
+    the texture's colour in its middle."""
+    colours = np.asarray(mesh.albedo)
+    if mesh.corner_colours is not None:
+        colours = colours * np.asarray(mesh.corner_colours).mean(axis=1)
+    if mesh.textures is not None:
+        of = mesh.textures
+        colours = colours * np.asarray(of.at(as_int(of.index), as_float(np.asarray(of.uv).mean(axis=1))))[:, :3]
+    return colours

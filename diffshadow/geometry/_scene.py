@@ -14,7 +14,7 @@ from .._checks import check_instance, shown_with_values
 from .._pictures import SIDE, as_html, draw_faces, is_known, lit
 from .._types import HostArray
 from ._camera import AbstractCamera
-from ._mesh import Mesh, MeshLike, as_mesh, face_normals, merge, meshes_of
+from ._mesh import Mesh, MeshLike, as_mesh, face_colours, face_normals, merge, meshes_of
 from ._origin import WORLD, Origin, PrecisionWarning, as_origin, origin_of, step_of
 from ._trimesh import TriangleScene
 from ._trimesh_scene import camera_of, lights_of
@@ -138,7 +138,7 @@ class Scene(eqx.Module):
         height, width = self.camera.resolution
         resolution = (max(1, SIDE * height // max(height, width)), max(1, SIDE * width // max(height, width)))
         points = np.append(np.asarray(mesh.vertices), np.ones((mesh.vertices.shape[0], 1)), axis=1)
-        colours = lit(np.asarray(face_normals(mesh)), np.asarray(view.world_to_eye)[2, :3], np.asarray(mesh.albedo))
+        colours = lit(np.asarray(face_normals(mesh)), np.asarray(view.world_to_eye)[2, :3], face_colours(mesh))
         image = draw_faces(points @ np.asarray(view.matrix).T, np.asarray(mesh.faces), colours, resolution)
         lights = ", ".join(type(light).__name__ for light in self.lights)
         title = (

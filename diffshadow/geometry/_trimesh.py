@@ -10,7 +10,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .._types import HostArray
+from ..settings.scene import Cutout
 from ._normals import crease_normals, weld
+from ._textures import Textures, linear_colours, scaled_cutoff
 
 
 @runtime_checkable
@@ -49,12 +51,16 @@ class Part(NamedTuple):
     - `vertices`: (v, 3), welded, float64; `faces`: (f, 3), indices into these.
     - `normals`: (f, 3, 3), a unit normal for each corner.
     - `albedo`: (f, 3), in [0, 1]; none if the object has no colours.
+    - `corner_colours`: (f, 3, 3), in [0, 1], of its vertices; none if these have no colours.
+    - `textures`: of its base colour; or none.
     """
 
     vertices: Float[HostArray, "v 3"]
     faces: Int[HostArray, "f 3"]
     normals: Float[HostArray, "f 3 3"]
     albedo: Float[HostArray, "f 3"] | None
+    corner_colours: Float[HostArray, "f 3 3"] | None = None
+    textures: Textures | None = None
 
 
 def parts_of(given: Triangles | TriangleScene, crease_angle: float | int | None) -> list[Part]:
@@ -98,8 +104,15 @@ def _part(given: Triangles, to_world: Float[HostArray, "4 4"], crease_angle: flo
         normals = _own_normals(given, to_world, name)[faces[kept]]
     else:
         normals = crease_normals(points, welded, crease_angle)
-    albedo = _albedo(given, len(faces))
-    return Part(points, welded, normals, None if albedo is None else albedo[kept])
+    albedo, colours = _albedo(given, len(faces)), _vertex_colours(given, len(vertices))
+    return Part(
+        points,
+        welded,
+        normals,
+        None if albedo is None else albedo[kept],
+        None if colours is None else colours[faces[kept]],
+        _textures(given, faces[kept]),
+    )
 
 
 def _checked(given: Triangles, name: str) -> tuple[Float[HostArray, "v 3"], Int[HostArray, "f 3"]]:
@@ -140,10 +153,49 @@ def _albedo(given: Triangles, count: int) -> Float[HostArray, "f 3"] | None:
         return None
     material = getattr(visual, "material", None)
     if material is None:
-        colours = getattr(visual, "face_colors", None)
+        colours = None if getattr(visual, "kind", None) == "vertex" else getattr(visual, "face_colors", None)
+    elif _image(material) is not None:
+        # Without a factor, a texture's colours stay as they are.
+        colours = getattr(material, "baseColorFactor", None)
     else:
         has_none = getattr(material, "baseColorFactor", material) is None
         colours = None if has_none else getattr(material, "main_color", None)
     if colours is None:
         return None
     return np.broadcast_to(np.asarray(colours, np.float64)[..., :3] / 255, (count, 3))
+
+
+def _vertex_colours(given: Triangles, count: int) -> Float[HostArray, "v 3"] | None:
+    """The colour of each of `count` vertices; none if they have no colours of their own."""
+    visual = getattr(given, "visual", None)
+    if getattr(visual, "kind", None) != "vertex":
+        return None
+    colours = np.asarray(getattr(visual, "vertex_colors", ()), np.float64)
+    return colours[:, :3] / 255 if colours.shape[:1] == (count,) and colours.ndim == 2 else None
+
+
+def _image(material: Any) -> Any:
+    """The image of a material's base colour; none if it has none."""
+    image = getattr(material, "baseColorTexture", None)
+    return getattr(material, "image", None) if image is None else image
+
+
+def _textures(given: Triangles, faces: Int[HostArray, "f 3"]) -> Textures | None:
+    """The texture of base colour, and its alpha test; none without an image or texture coordinates."""
+    visual = getattr(given, "visual", None)
+    material, uv = getattr(visual, "material", None), getattr(visual, "uv", None)
+    image = None if material is None else _image(material)
+    if image is None or uv is None or np.shape(uv)[:1] != np.shape(given.vertices)[:1]:
+        return None
+    factor = getattr(material, "baseColorFactor", None)
+    cutoff = None
+    if str(getattr(material, "alphaMode", None) or "").upper() == "MASK":
+        given_cutoff = getattr(material, "alphaCutoff", None)
+        cutoff = scaled_cutoff(Cutout.alpha_cutoff if given_cutoff is None else float(given_cutoff), _alpha(factor))
+    # The image's first row is its top row.
+    levels = np.asarray(image.convert("RGBA"), np.float64)[::-1] / 255
+    return Textures.of(linear_colours(levels), np.asarray(uv, np.float64)[faces, :2], cutoff)
+
+
+def _alpha(factor: Any) -> float:
+    return 1.0 if factor is None or np.size(factor) < 4 else float(np.asarray(factor)[3]) / 255

@@ -12,6 +12,8 @@ from ._cache import programs_folder as programs_folder
 from ._cache import prune_cache as prune_cache
 from ._errors import FileError, FileWarning, ImageWarning, MeshWarning
 from ._images import read_picture, read_visibility, write_animation, write_png, write_visibility
+from ._looks import Picture as Picture
+from ._looks import png_of as png_of
 from ._meshes import coarse_steps as coarse_steps
 from ._meshes import load_mesh
 from ._paths import existing_file as existing_file

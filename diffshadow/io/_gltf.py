@@ -14,9 +14,12 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from .._types import HostArray
+from ..geometry import NO_TEXTURE
 from ._errors import Faults, MeshError, damaged
 from ._gltf_data import Buffers, Form, NoDataError, chunks, item, unread
+from ._gltf_materials import BaseColour, Materials
 from ._gltf_schema import DRACO, INSTANCES, VISIBILITY, Document, Node, Primitive, not_obeyed, parse
+from ._looks import Looks, Texture
 from ._polygons import Polygons, repeated, strip_triangles
 from ._text import excerpt
 
@@ -34,6 +37,7 @@ class Part(NamedTuple):
 
     - `vertices`, `normals`: (v, 3); the normals are none if the file has none.
     - `faces`: (t, 3), indices into `vertices`.
+    - `look`: its base colour.
     """
 
     node: Node
@@ -41,6 +45,7 @@ class Part(NamedTuple):
     vertices: Float[HostArray, "v 3"]
     faces: Int[HostArray, "t 3"]
     normals: Float[HostArray, "v 3"] | None
+    look: BaseColour
 
 
 class PlacedNode(NamedTuple):
@@ -92,6 +97,31 @@ def read_gltf(data: bytes, folder: Path) -> Polygons:
         np.full(len(corners), 3),
         left_out,
         np.concatenate(normals) if normals else None,
+        looks=_looks(parts),
+    )
+
+
+def _looks(parts: Sequence[Part]) -> Looks | None:
+    """The looks of parts one after the other; none if none has a material or colours."""
+    looks = [part.look for part in parts]
+    if all(look.factor is None and look.colours is None for look in looks):
+        return None
+    vertices, faces = [len(part.vertices) for part in parts], [len(part.faces) for part in parts]
+    coloured, mapped = (any(getattr(look, name) is not None for look in looks) for name in ("colours", "uv"))
+    rows = lambda values, count, fill, width: np.full((count, width), fill, float) if values is None else values
+    each = zip(looks, vertices, strict=True)
+    by_vertex = [(rows(look.colours, count, 1, 3), rows(look.uv, count, 0, 2)) for look, count in each]
+    # By picture and cutoff.
+    textures = {(id(look.picture), look.cutoff): look for look in looks if look.picture is not None}
+    numbers = {key: number for number, key in enumerate(textures)}
+    index = [numbers.get((id(look.picture), look.cutoff), NO_TEXTURE) for look in looks]
+    factors = [np.ones(3) if look.factor is None else look.factor for look in looks]
+    return Looks(
+        np.concatenate([colours for colours, _ in by_vertex]) if coloured else None,
+        np.concatenate([uv for _, uv in by_vertex]) if mapped else None,
+        np.repeat(factors, faces, axis=0),
+        np.repeat(index, faces),
+        [Texture(look.picture, look.cutoff) for look in textures.values() if look.picture is not None],
     )
 
 
@@ -110,6 +140,7 @@ def parts_of(
     """
     left_out["animation"] += len(document.animations)
     left_out.update(f"extension {name}" for name in not_obeyed(document))
+    materials = Materials(document, buffers, left_out)
     for node, to_world, is_visible in nodes_of(document):
         if node.mesh is None:
             continue
@@ -128,7 +159,12 @@ def parts_of(
                 weights = mesh.weights if node.weights is None else node.weights
                 try:
                     triangles = _triangles(primitive, weights, buffers)
-                    yield Part(node, primitive, *repeated(*triangles, to_world @ _instances(node, buffers)))
+                    look = materials.base_colour(primitive, len(triangles.vertices))
+                    if look.is_cut_out:
+                        left_out["primitive that its alpha test cuts out"] += 1
+                        continue
+                    places = to_world @ _instances(node, buffers)
+                    yield Part(node, primitive, *repeated(*triangles, places), look.repeated(len(places)))
                 except MeshError as fault:
                     if faults is None:
                         raise
@@ -140,7 +176,9 @@ def _flat(part: Part) -> Part:
     corners = part.vertices[part.faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     faces = np.arange(part.faces.size).reshape(-1, 3)
-    return part._replace(vertices=corners.reshape(-1, 3), faces=faces, normals=np.repeat(normals, 3, axis=0))
+    look = part.look.of_vertices(part.faces.reshape(-1))
+    vertices = corners.reshape(-1, 3)
+    return part._replace(vertices=vertices, faces=faces, normals=np.repeat(normals, 3, axis=0), look=look)
 
 
 def nodes_of(document: Document) -> Iterator[PlacedNode]:

@@ -21,8 +21,8 @@ from ._text import excerpt, listed
 _MAGIC = b"glTF"
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-Form = Literal["SCALAR", "VEC3", "VEC4"]
-_WIDTHS: Mapping[Form, int] = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
+Form = Literal["SCALAR", "VEC2", "VEC3", "VEC4"]
+_WIDTHS: Mapping[Form, int] = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 # A sparse accessor can declare any number of zeros without storing them. No real file declares this many.
 _MAX_ZEROS = 2**24
 
@@ -123,6 +123,18 @@ class Buffers:
         """The number of rows of the accessor."""
         return item(self._document.accessors, index, "accessor").count
 
+    def form(self, index: int) -> Form | None:
+        """The type of the accessor; none for one that cannot be read."""
+        found = item(self._document.accessors, index, "accessor").type
+        return next((form for form in _WIDTHS if form == found), None)
+
+    def file(self, uri: str) -> bytes:
+        """The content of a file within the glTF file or beside it.
+
+        **Raises** `MeshError` if it cannot be read.
+        """
+        return _embedded(uri) if uri.startswith("data:") else self._beside(uri)
+
     def _rows(
         self, view_index: int, offset: int, kind: np.dtype, count: int, width: int
     ) -> Shaped[HostArray, "n width"]:
@@ -138,10 +150,8 @@ class Buffers:
         """The buffer's bytes. `extensions` are its view's; a message names them if the buffer has no data."""
         if index not in self._loaded:
             buffer = item(self._document.buffers, index, "buffer")
-            if buffer.uri is None:
-                content = self._binary if index == 0 else None
-            else:
-                content = _embedded(buffer.uri) if buffer.uri.startswith("data:") else self._beside(buffer.uri)
+            own = self._binary if index == 0 else None
+            content = own if buffer.uri is None else self.file(buffer.uri)
             if content is None:
                 raise unread(extensions) or damaged(f"its buffer {index} has no data")
             if len(content) < buffer.byte_length:

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.alias_generators import to_camel
 
-from ..settings.scene import LightKind
+from ..settings.scene import Cutout, LightKind
 from ._errors import MeshError, damaged
 from ._text import decode, excerpt, listed
 
@@ -24,6 +24,8 @@ EXTRAS = "diffshadow"
 VISIBILITY = "KHR_node_visibility"
 INSTANCES = "EXT_mesh_gpu_instancing"
 UNLIT = "KHR_materials_unlit"
+TEXTURE_TRANSFORM = "KHR_texture_transform"
+TEXTURE_WEBP = "EXT_texture_webp"
 TRANSMISSION = "KHR_materials_transmission"
 # Supported extensions. Without the first, positions are no integers.
 _READ = ("KHR_mesh_quantization", DRACO, VISIBILITY, INSTANCES)
@@ -111,10 +113,42 @@ class Mesh(_Part):
     weights: list[float] = []
 
 
+class TextureInfo(_Part):
+    index: _Index
+    tex_coord: _Index = 0
+    extensions: _Extensions = {}
+
+
+class MetallicRoughness(_Part):
+    base_color_factor: Annotated[list[float], Field(min_length=4, max_length=4)] = [1.0, 1.0, 1.0, 1.0]
+    base_color_texture: TextureInfo | None = None
+
+
+class TextureTransform(_Part):
+    """Of `TEXTURE_TRANSFORM`."""
+
+    offset: Annotated[list[float], Field(min_length=2, max_length=2)] = [0.0, 0.0]
+    rotation: float = 0.0
+    scale: Annotated[list[float], Field(min_length=2, max_length=2)] = [1.0, 1.0]
+    tex_coord: _Index | None = None
+
+
+class Texture(_Part):
+    source: _Index | None = None
+    extensions: _Extensions = {}
+
+
+class Image(_Part):
+    uri: str | None = None
+    buffer_view: _Index | None = None
+
+
 class Material(_Part):
     name: str = ""
     double_sided: bool = False
+    pbr_metallic_roughness: MetallicRoughness = MetallicRoughness()
     alpha_mode: str = "OPAQUE"
+    alpha_cutoff: Annotated[float, Field(ge=0)] = Cutout.alpha_cutoff
     emissive_factor: Annotated[list[float], Field(min_length=3, max_length=3)] = [0.0, 0.0, 0.0]
     extensions: _Extensions = {}
 
@@ -184,11 +218,13 @@ class Document(_Part):
     extensions: _Extensions = {}
     extensions_required: list[str] = []
     extensions_used: list[str] = []
+    images: list[Any] = []
     materials: list[Any] = []
     meshes: list[Mesh] = []
     nodes: list[Node] = []
     scene: _Index | None = None
     scenes: list[Scene] = []
+    textures: list[Any] = []
 
 
 def parse(text: bytes) -> Document:

@@ -1,18 +1,20 @@
 """Reads meshes."""
 
+import functools
 import os
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from .._types import HostArray
 from ..geometry import Mesh, crease_normals, step_of, weld
 from ..settings.scene import GLTF_SUFFIXES
 from ._errors import FileError, MeshError, MeshWarning, damaged
 from ._gltf import read_gltf
+from ._looks import Looks, MeshLooks, Picture, Texture, looks_of_triangles, read_texture
 from ._obj import read_obj
 from ._off import read_off
 from ._paths import existing_file
@@ -29,6 +31,8 @@ _READERS: Mapping[str, Callable[[bytes, Path], Polygons]] = {
     ".ply": lambda data, _: read_ply(data),
     ".stl": lambda data, _: read_stl(data),
 }
+# Of the images that were read last, so many are kept for meshes that share them.
+_IMAGES_KEPT = 8
 # Coordinates beyond this are infinite in float32.
 _MOST = float(np.finfo(np.float32).max)
 # Coordinates this close to whole steps, as a part of a step, were rounded to these.
@@ -39,19 +43,35 @@ _ROUND = 8
 _FEW = 12
 
 
-def load_mesh(path: str | os.PathLike[str], crease_angle: float | int | None = 30.0) -> Mesh:
+def load_mesh(
+    path: str | os.PathLike[str],
+    crease_angle: float | int | None = 30.0,
+    *,
+    albedo: Sequence[float] | None = None,
+    texture: str | os.PathLike[str] | None = None,
+    alpha_cutoff: float | None = None,
+) -> Mesh:
     """Reads a mesh from a file: OBJ, PLY, STL, OFF, GLB, glTF 2.0, or a format that trimesh reads.
 
     The objects of a file are merged into one mesh, with their nodes' transforms applied. Vertices at the same position
-    are welded (files split them at texture seams). Polygons, convex or concave, are cut into triangles. Colours,
-    materials and skins are ignored. trimesh reads other formats, such as 3MF, COLLADA and zip archives. It cuts
-    polygons as fans, and some formats need a further package (`pip install 'diffshadow[meshes]'`).
+    are welded (files split them at texture seams). Polygons, convex or concave, are cut into triangles. Skins are
+    ignored. Colours of vertices are read from PLY, GLB and glTF, and taken as linear. From the last two, materials are
+    read too: base colours, their textures, and alpha tests. trimesh reads other formats, such as 3MF, COLLADA and zip
+    archives, without colours. It cuts polygons as fans, and some formats need a further package
+    (`pip install 'diffshadow[meshes]'`).
 
     **Arguments:**
 
     - `path`: the file; its suffix names the format. Text may be in any encoding.
     - `crease_angle`: degrees; edges bent by more are shaded sharp. None for the file's own normals, of vertices in PLY,
         GLB and glTF.
+
+    - `albedo`: (3,), in [0, 1], which the file's colours and textures are multiplied by; if left out, light grey for a
+        file without these.
+    - `texture`: the file of an image, sRGB, that takes the place of all textures; the file must have texture
+        coordinates, which are read from OBJ, PLY, GLB and glTF.
+    - `alpha_cutoff`: alpha of textures, in [0, 1], below which faces are cut out; 0 for no alpha test; if left out, as
+        the file says.
 
     **Returns:** the mesh in the file's units and axes; use `fit_to_size` and `drop_to_ground` to place it in a scene.
     Under `jax.enable_x64` its vertices are float64, which a mesh far from the file's origin needs.
@@ -62,7 +82,8 @@ def load_mesh(path: str | os.PathLike[str], crease_angle: float | int | None = 3
 
     **Raises** `FileError` if the file is missing, damaged, in an unknown format or in one whose package is missing,
     requires an unsupported extension of its format, has a polygon that crosses itself, holds no triangles, or holds
-    vertices that are not finite; and without a `crease_angle` if it has no normals, or some that are not finite.
+    vertices that are not finite; without a `crease_angle` if it has no normals, or some that are not finite; with a
+    `texture` if that cannot be read, or there are no texture coordinates; and with an `alpha_cutoff` without textures.
 
     !!! Example
 
@@ -75,11 +96,16 @@ def load_mesh(path: str | os.PathLike[str], crease_angle: float | int | None = 3
     try:
         # NaN and infinite coordinates are checked after reading.
         with np.errstate(all="ignore"):
-            polygons = _reader(file)(file.read_bytes(), file.parent)
+            if texture is not None and file.suffix.lower() == ".obj":
+                polygons = read_obj(file.read_bytes(), with_uv=True)
+            else:
+                polygons = _reader(file)(file.read_bytes(), file.parent)
         _check(polygons)
         triangles = triangulate(polygons)
         vertices, faces, kept = weld(polygons.vertices, triangles)
         normals = _own_normals(polygons)[triangles[kept]] if crease_angle is None else None
+        own = None if texture is None else Texture(_image(texture))
+        looks = _looks(polygons, triangles[kept], kept, own, alpha_cutoff)
     except MeshError as fault:
         raise FileError(f"the mesh file {file} {fault}") from fault
     except OSError as error:
@@ -105,7 +131,47 @@ def load_mesh(path: str | os.PathLike[str], crease_angle: float | int | None = 3
         warnings.warn(MeshWarning(f"the mesh file {file} {coarse}"), stacklevel=2)
     if crease_angle is not None:
         normals = crease_normals(vertices, faces, crease_angle)
-    return Mesh(vertices, faces, normals)
+    if albedo is not None:
+        factor = np.asarray(albedo, np.float64)
+        looks = looks._replace(albedo=factor if looks.albedo is None else factor * looks.albedo)
+    return Mesh(vertices, faces, normals, *looks)
+
+
+def _image(path: str | os.PathLike[str]) -> Picture:
+    """Reads an image file. **Raises** `FileError` if it cannot be read."""
+    file = existing_file(path, "texture")
+    try:
+        state = file.stat()
+        return _read_image(file, state.st_mtime_ns, state.st_size)
+    except OSError as error:
+        raise FileError(f"cannot read the texture {file}: {error.strerror or error}") from error
+
+
+@functools.lru_cache(maxsize=_IMAGES_KEPT)
+def _read_image(file: Path, time: int, size: int) -> Picture:
+    """An image file that was last changed at this time: one array for all meshes that have it."""
+    return read_texture(file.read_bytes(), str(file))
+
+
+def _looks(
+    polygons: Polygons,
+    triangles: Int[HostArray, "t 3"],
+    number: Int[HostArray, " t"],
+    texture: Texture | None,
+    alpha_cutoff: float | None,
+) -> MeshLooks:
+    """The colours and textures of triangles with these numbers among all of the file.
+
+    **Raises** `MeshError` for a texture without coordinates, and a cutoff without textures.
+    """
+    polygon = np.repeat(np.arange(len(polygons.sizes)), np.maximum(polygons.sizes - 2, 0))[number]
+    looks = looks_of_triangles(polygons.looks or Looks(), triangles, polygon, texture, alpha_cutoff)
+    if alpha_cutoff is not None and looks.textures is None:
+        raise MeshError(
+            f"has no textures, and alpha_cutoff {alpha_cutoff} was given; expected a texture with it: give one, or "
+            "leave alpha_cutoff out"
+        )
+    return looks
 
 
 def _reader(file: Path) -> Callable[[bytes, Path], Polygons]:

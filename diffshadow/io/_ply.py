@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 from .._types import HostArray
 from ._atomic import atomic_path
 from ._errors import MeshError, damaged
+from ._looks import Looks
 from ._polygons import Polygons, strip_triangles
 from ._text import decode, excerpt, is_number, listed, parsed
 
@@ -39,6 +40,9 @@ _ORDERS: Mapping[str, _Order] = {"ascii": "=", "binary_little_endian": "<", "bin
 # The names that writers give to the list of a face's corners.
 _CORNERS = ("vertex_indices", "vertex_index")
 _NORMAL = ("nx", "ny", "nz")
+_COLOUR = ("red", "green", "blue")
+# The names that writers give to texture coordinates; the first are written.
+_COORDINATES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 # Every float64 from here on is a whole number.
 _LONGEST = 2.0**53
 _DIGITS = 15
@@ -91,6 +95,8 @@ def read_ply(data: bytes) -> Polygons:
     strips = _strips(*_lists(columns, "tristrips"))
     edges = sum(element.rows for element in header.elements if element.name == "edge")
     vertex = columns.get("vertex", {})
+    own = (element.properties for element in header.elements if element.name == "vertex")
+    types = {each.name: each.type for properties in own for each in properties}
     return Polygons(
         _vertices(vertex),
         np.concatenate([corners, strips.reshape(-1)]),
@@ -99,7 +105,22 @@ def read_ply(data: bytes) -> Polygons:
         _points(vertex, _NORMAL)
         if all(name in vertex and (vertex[name].sizes == 1).all() for name in _NORMAL)
         else None,
+        looks=_looks(vertex, types),
     )
+
+
+def _looks(vertex: Mapping[str, _Column], types: Mapping[str, np.dtype]) -> Looks | None:
+    """Colours of vertices, as they are from 0 to 1 or as parts of the greatest integer of their type, and texture
+    coordinates."""
+    colours = uv = None
+    has = lambda names: all(name in vertex and (vertex[name].sizes == 1).all() for name in names)
+    if has(_COLOUR):
+        greatest = [np.iinfo(kind).max if kind.kind in "iu" else 1 for kind in (types[name] for name in _COLOUR)]
+        colours = _points(vertex, _COLOUR) / greatest
+    for names in _COORDINATES:
+        if uv is None and has(names):
+            uv = _points(vertex, names)
+    return None if colours is None and uv is None else Looks(colours, uv)
 
 
 def _header(data: bytes) -> _Header:
@@ -351,17 +372,21 @@ def write_ply(
     vertices: Float[HostArray, "v 3"],
     faces: Int[HostArray, "f 3"],
     normals: Float[HostArray, "v 3"] | None = None,
+    colours: Float[HostArray, "v 3"] | None = None,
+    uv: Float[HostArray, "v 2"] | None = None,
 ) -> None:
     """Writes triangles as a binary PLY file in single precision.
 
     **Arguments:**
 
     - `vertices`, `normals`: (v, 3); `faces`: (f, 3), indices into `vertices`.
+    - `colours`: (v, 3), linear, in [0, 1]; `uv`: (v, 2), texture coordinates, (0, 0) at an image's lower left corner.
 
     **Raises** `FileError` if the file cannot be written.
     """
-    columns = [vertices] if normals is None else [vertices, normals]
-    names = [*"xyz", *(() if normals is None else _NORMAL)]
+    given = ((tuple("xyz"), vertices), (_NORMAL, normals), (_COLOUR, colours), (_COORDINATES[0], uv))
+    columns = [values for _, values in given if values is not None]
+    names = [name for each, values in given if values is not None for name in each]
     rows = np.concatenate(columns, axis=1).astype("<f4")
     triangles = np.zeros(len(faces), np.dtype([("length", "u1"), ("corners", "<i4", 3)]))
     triangles["length"], triangles["corners"] = 3, faces

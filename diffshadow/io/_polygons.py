@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 
 from .._types import HostArray
 from ._errors import MeshError
+from ._looks import Looks
 
 # Areas of flipped triangles that are tolerated, as fractions of the face's squared extent. `_EXACT` allows for float64
 # rounding. `_TOUCHING` allows for files with few digits, whose outlines may cross slightly where they should touch.
@@ -30,6 +31,7 @@ class Polygons(NamedTuple):
     - `normals`: (v, 3), float64, the vertices' normals, of any length; none if the file has none, or a format whose
       normals are not read.
     - `are_fans`: whether the faces may be concave polygons that a library has cut as fans.
+    - `looks`: their colours and textures; none if the file has none, or a format whose colours are not read.
     """
 
     vertices: Float[HostArray, "v 3"]
@@ -38,6 +40,7 @@ class Polygons(NamedTuple):
     left_out: Mapping[str, int] = MappingProxyType({})
     normals: Float[HostArray, "v 3"] | None = None
     are_fans: bool = False
+    looks: Looks | None = None
 
 
 def triangulate(polygons: Polygons) -> Int[HostArray, "t 3"]:

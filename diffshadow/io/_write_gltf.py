@@ -9,9 +9,9 @@ import json
 import math
 import os
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -35,6 +35,7 @@ from ..settings.scene import GLTF_SUFFIXES
 from ._atomic import atomic_path
 from ._errors import FileError
 from ._gltf_schema import EXTRAS, LIGHTS
+from ._looks import levels_of, png_of
 
 _FLOAT, _UNSIGNED = 5126, 5125
 _VERTICES, _INDICES = 34962, 34963
@@ -48,13 +49,14 @@ _CENTRED = 1e-6
 def write_gltf(path: str | os.PathLike[str], scene: Scene, *, extras: Mapping[str, Any] | None = None) -> None:
     """Writes a scene as glTF 2.0, such as a fitted one for another renderer.
 
-    Meshes have the normals of their corners and their albedo: one colour as the material's, several as colours of
-    vertices (`COLOR_0`, linear). Vertices are repeated where corners have other normals or colours. Cameras are
-    perspective or orthographic. A directional, point or spot light is one of KHR_lights_punctual with the intensity 1.
-    A rectangle light is a point light there, and a light of matrices a directional or a spot light. The `extras` of the
-    nodes of cameras and lights have all of their fields under `diffshadow`, such as near and far of a shadow map, and
-    the `extras` of meshes say whether they cast and receive shadows. `read_scene` and `diffshadow import` read meshes,
-    cameras and lights back.
+    Meshes have the normals of their corners and their albedo: one colour as the material's; several, and colours of
+    corners, as colours of vertices (`COLOR_0`, linear). Textures are PNG images within the file, with 8 bits. Faces
+    with different ones are primitives of their own, and alpha tests are materials of mode MASK. Vertices are repeated
+    where corners have other normals, colours or texture coordinates. Cameras are perspective or orthographic. A
+    directional, point or spot light is one of KHR_lights_punctual with the intensity 1. A rectangle light is a point
+    light there, and a light of matrices a directional or a spot light. The `extras` of the nodes of cameras and lights
+    have all of their fields under `diffshadow`, such as near and far of a shadow map, and the `extras` of meshes say
+    whether they cast and receive shadows. `read_scene` and `diffshadow import` read meshes, cameras and lights back.
 
     **Arguments:**
 
@@ -90,27 +92,46 @@ class _Arrays:
         self.binary = b""
 
     def add(self, rows: HostArray, *, bounded: bool = False) -> int:
-        """Adds float vectors (n, 3) or indices (n,). **Returns** the accessor's number."""
+        """Adds float vectors (n, 3) or (n, 2), or indices (n,). **Returns** the accessor's number."""
         is_index = rows.ndim == 1
         data = np.ascontiguousarray(rows, "<u4" if is_index else "<f4")
         view = {"buffer": 0, "byteOffset": len(self.binary), "byteLength": data.nbytes}
         self.views.append({**view, "target": _INDICES if is_index else _VERTICES})
-        kind = {"componentType": _UNSIGNED if is_index else _FLOAT, "type": "SCALAR" if is_index else "VEC3"}
+        kind = {
+            "componentType": _UNSIGNED if is_index else _FLOAT,
+            "type": "SCALAR" if is_index else f"VEC{rows.shape[1]}",
+        }
         limits = {"min": data.min(axis=0).tolist(), "max": data.max(axis=0).tolist()} if bounded else {}
         self.accessors.append({"bufferView": len(self.views) - 1, "count": len(data), **kind, **limits})
         self.binary += data.tobytes()
         return len(self.accessors) - 1
 
+    def add_image(self, image: Float[HostArray, "h w 4"]) -> int:
+        """Adds an image of linear texels, row 0 the bottom row. **Returns** the number of its buffer view."""
+        data = png_of(levels_of(image))
+        self.views.append({"buffer": 0, "byteOffset": len(self.binary), "byteLength": len(data)})
+        # What follows begins at a multiple of four bytes.
+        self.binary += data + b"\0" * (-len(data) % 4)
+        return len(self.views) - 1
+
 
 def _document(scene: Scene, extras: Mapping[str, Any]) -> tuple[dict[str, Any], bytes]:
     """The file's JSON but for its buffer, and the buffer's bytes."""
     arrays = _Arrays()
-    meshes, materials, nodes = [], [], []
+    meshes, materials, nodes, images = [], [], [], []
     casts, receives = (each or (True,) * len(scene.meshes) for each in (scene.casts, scene.receives))
     for i, mesh in enumerate(scene.meshes):
-        primitive, material = _primitive(mesh, arrays)
-        meshes.append({"name": f"mesh {i}", "primitives": [{**primitive, "material": i}]})
-        materials.append(material)
+        primitives = []
+        for part, texture in _by_texture(mesh):
+            primitive, material = _primitive(part, arrays)
+            if texture is not None:
+                images.append({"bufferView": arrays.add_image(texture.image), "mimeType": "image/png"})
+                material["pbrMetallicRoughness"]["baseColorTexture"] = {"index": len(images) - 1}
+                if texture.cutoff:
+                    material |= {"alphaMode": "MASK", "alphaCutoff": texture.cutoff}
+            primitives.append({**primitive, "material": len(materials)})
+            materials.append(material)
+        meshes.append({"name": f"mesh {i}", "primitives": primitives})
         shadows = {"casts": casts[i], "receives": receives[i]}
         nodes.append({"name": f"mesh {i}", "mesh": i, "extras": {EXTRAS: shadows}})
     camera, place = _camera(scene.camera)
@@ -139,26 +160,58 @@ def _document(scene: Scene, extras: Mapping[str, Any]) -> tuple[dict[str, Any], 
         "bufferViews": arrays.views,
         "extensionsUsed": [LIGHTS],
         "extensions": {LIGHTS: {"lights": lights}},
+        **({"images": images, "textures": [{"source": i} for i in range(len(images))]} if images else {}),
     }, arrays.binary
+
+
+class _Texture(NamedTuple):
+    """Linear texels, and the cutoff of the alpha test; 0 for none."""
+
+    image: Float[HostArray, "h w 4"]
+    cutoff: float
+
+
+def _by_texture(mesh: Mesh) -> Iterator[tuple[Mesh, _Texture | None]]:
+    """The faces of each texture of a mesh, and of none, as a mesh of their own."""
+    if mesh.textures is None:
+        yield mesh, None
+        return
+    textures = mesh.textures
+    index, images = _known(textures.index), textures.images()
+    cutoff = np.zeros(len(images)) if textures.cutoff is None else _known(textures.cutoff)
+    for number in np.unique(index):
+        of = np.flatnonzero(index == number)
+        colours = None if mesh.corner_colours is None else _known(mesh.corner_colours)[of]
+        faces, normals, albedo = (_known(values)[of] for values in (mesh.faces, mesh.corner_normals, mesh.albedo))
+        own = None if number < 0 else textures.for_faces(of)
+        part = Mesh(mesh.vertices, faces, normals, albedo, colours, own)
+        yield part, None if number < 0 else _Texture(images[number], float(cutoff[number]))
 
 
 def _primitive(mesh: Mesh, arrays: _Arrays) -> tuple[dict[str, Any], dict[str, Any]]:
     """The triangles of a mesh without their material, and the material."""
     faces, albedo = _known(mesh.faces), _known(mesh.albedo)
     is_plain = bool((albedo == albedo[0]).all())
+    colours = None if is_plain else np.repeat(albedo, 3, axis=0)
+    if mesh.corner_colours is not None:
+        corner_colours = _known(mesh.corner_colours).reshape(-1, 3)
+        colours = corner_colours if colours is None else colours * corner_colours
+    # An image's first row is its top row.
+    uv = None if mesh.textures is None else _known(mesh.textures.uv).reshape(-1, 2) * (1, -1) + (0, 1)
     corners = _known(mesh.corner_normals).reshape(-1, 3).astype(np.float32)
     # A face without area has none, and the format wants unit vectors.
     corners = np.where(np.abs(corners).sum(axis=1, keepdims=True) > 0, corners, np.asarray([0, 0, 1], np.float32))
     columns = [faces.reshape(-1, 1).astype(np.float64), corners]
-    if not is_plain:
-        columns.append(np.repeat(albedo, 3, axis=0))
+    columns += [values for values in (colours, uv) if values is not None]
     _, first, corner = np.unique(np.concatenate(columns, axis=1), axis=0, return_index=True, return_inverse=True)
     attributes = {
         "POSITION": arrays.add(_known(mesh.vertices)[faces.ravel()[first]], bounded=True),
         "NORMAL": arrays.add(corners[first]),
     }
-    if not is_plain:
-        attributes["COLOR_0"] = arrays.add(np.repeat(albedo, 3, axis=0)[first])
+    if colours is not None:
+        attributes["COLOR_0"] = arrays.add(colours[first])
+    if uv is not None:
+        attributes["TEXCOORD_0"] = arrays.add(uv[first])
     colour = [*albedo[0].tolist(), 1.0] if is_plain else [1.0] * 4
     look = {"baseColorFactor": colour, "metallicFactor": 0.0, "roughnessFactor": 1.0}
     material = {"pbrMetallicRoughness": look, "doubleSided": True}

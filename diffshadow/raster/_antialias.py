@@ -26,7 +26,7 @@ from ._interpolate import Points
 from ._plane_crossings import mixed_pixels, plane_crossings
 from ._rasterize import NO_FACE
 from ._sides import Sides, adjoining
-from ._surface import Surface, surface_at_centres, surface_at_points
+from ._surface import Surface, passes_at_points, surface_at_centres, surface_at_points
 
 
 class AntialiasPlan(eqx.Module):
@@ -110,7 +110,9 @@ def plan_antialiasing(
     edges = edges.padded(mesh.faces.shape[0])
     creases = jnp.asarray(padded_to(creases, edges.vertices.shape[0]))
     clip = camera.view().clip_vertices(mesh.vertices)
-    centres, corners = rasterize_with_corners(clip, mesh.faces, camera.resolution, cull=cull)
+    centres, corners = rasterize_with_corners(
+        clip, mesh.faces, camera.resolution, cull=cull, alpha_test=mesh.alpha_test
+    )
     needed = _count(clip, mesh.faces, edges, creases, cull, centres.face, corners.face)
     return AntialiasPlan(edges, creases, *(round_up_to_power_of_two(int(margin * int(count))) for count in needed))
 
@@ -141,6 +143,8 @@ def draw_antialiased(
 ) -> AntialiasedSurface:
     """The surface of `mesh` that `camera` sees at pixel centres and on both sides of outlines and creases.
 
+    The outlines that an alpha test cuts are no edges: they have stairs, and no derivative.
+
     **Arguments:**
 
     - `plan`: from `plan_antialiasing`; required under a trace.
@@ -164,7 +168,7 @@ def draw_antialiased(
     mesh = mesh.padded()
     view, resolution = camera.view(), camera.resolution
     clip = view.clip_vertices(mesh.vertices)
-    centres, corners = rasterize_with_corners(clip, mesh.faces, resolution, cull=cull)
+    centres, corners = rasterize_with_corners(clip, mesh.faces, resolution, cull=cull, alpha_test=mesh.alpha_test)
     drawn, pieces, mixed = _antialiased(mesh, camera.eye, view, centres.face, corners.face, clip, plan, cull)
     overflow = (pieces > plan.pieces) | (mixed > plan.mixed)
     if not raises:
@@ -203,9 +207,15 @@ def _antialiased(
     ).reshape(-1, width)
     at = pieces.nearest * (2 / np.array([width, height])) - 1
     points = Points(*(in_rows([at[:, k]] * 2, 0) for k in range(2)))
-    beside = surface_at_points(mesh, eye, view, in_rows([sides.left, sides.right], NO_FACE), clip, points)
+    of_sides = in_rows([sides.left, sides.right], NO_FACE)
+    beside = surface_at_points(mesh, eye, view, of_sides, clip, points)
     surface = jax.tree.map(
         lambda *parts: jnp.concatenate(parts), surface_at_centres(mesh, eye, view, centres, clip), beside
     )
-    area = jnp.where(sides.in_sight, pieces.beyond + sides.correction, 0)
+    in_sight = sides.in_sight
+    if mesh.alpha_test is not None:
+        # No line is seen where the alpha test cuts out a face beside it.
+        left, right = passes_at_points(mesh, of_sides, clip, points).reshape(2, -1)[:, :count]
+        in_sight = in_sight & left & right
+    area = jnp.where(in_sight, pieces.beyond + sides.correction, 0)
     return AntialiasedSurface(surface, pieces.pixel, area, (height, width)), edges.count, jnp.sum(mixed)

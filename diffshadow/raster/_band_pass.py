@@ -17,6 +17,7 @@ from jaxtyping import Array, Float, Int
 from .._arithmetic import take
 from .._device import is_on_gpu
 from .._types import ClipVertices, Faces, Resolution, Viewport
+from ._alpha_test import AlphaTest
 from ._bins import CLIPPED, LARGE, Box, Corners, Facing, classify
 from ._compact import Groups
 from ._depth_test import DepthTest
@@ -52,7 +53,9 @@ class BandDrawing(Drawing):
         polygon_offset: Float[Array, "2"] | None,
         buffer: Resolution,
         bands: int,
+        alpha_test: AlphaTest | None = None,
     ):
+        self.alpha_test = alpha_test
         self.resolution, self.buffer, self.bands = resolution, buffer, bands
         self.facing, self.test, self.polygon_offset = facing, test, polygon_offset
         self.rows = -(-buffer[0] // bands)
@@ -105,6 +108,7 @@ class _BandPass(DrawPass):
             whole.test,
             whole.polygon_offset,
             (whole.rows, whole.buffer[1]),
+            whole.alpha_test,
         )
         self.first, self.last = number * whole.rows, number * whole.rows + (whole.rows - 1)
 

@@ -24,7 +24,7 @@ from ._plane_crossings import PlaneCrossings
 from ._segments import Segments
 from ._silhouettes import silhouettes_by_adjacency
 
-# Normals and albedo that differ by more make a crease.
+# Normals, colours and texture coordinates that differ by more make a crease.
 _SAME = 1e-3
 # Two grid lines that a segment crosses within this many pixels are crossed in a fixed order.
 _TIE = 1e-4
@@ -296,13 +296,26 @@ def _round_border(point: Float[Array, "n 2"]) -> Float[Array, " n"]:
 
 
 def find_creases(mesh: Mesh, edges: Edges) -> Bool[HostArray, " n"]:
-    """Which of its `edges` are creases: the shading normal or the albedo of their two faces differ there."""
-    shared, normals, albedo = share_vertices(mesh), np.asarray(mesh.corner_normals), np.asarray(mesh.albedo)
+    """Which of its `edges` are creases: the shading normal, albedo or corners' colours of their two faces differ there,
+    or the faces have other textures or texture coordinates.
+
+    Coordinates that differ by whole repetitions are the same. A seam whose texels are alike on both sides counts as a
+    crease, which does no harm: its two colours are equal.
+    """
+    shared, albedo = share_vertices(mesh), np.asarray(mesh.albedo)
     vertices, faces = np.asarray(edges.vertices), np.asarray(edges.faces)
-    differs = np.zeros(len(vertices), bool)
-    for end in vertices.T:
-        corner = [np.argmax(shared[face] == end[:, None], axis=1) for face in faces.T]
-        first, second = (normals[face, k] for face, k in zip(faces.T, corner, strict=True))
-        differs |= np.abs(first - second).max(axis=1) > _SAME
-    differs |= np.abs(albedo[faces[:, 0]] - albedo[faces[:, 1]]).max(axis=1) > _SAME
+    corners = [np.stack([np.argmax(shared[face] == end[:, None], axis=1) for face in faces.T]) for end in vertices.T]
+    # By end of the edge, how much the values of the two faces' corners differ.
+    differences = lambda values: [np.subtract(*np.asarray(values)[faces.T, corner]) for corner in corners]
+    far = lambda difference: np.abs(difference).max(axis=1) > _SAME
+    differs = far(albedo[faces[:, 0]] - albedo[faces[:, 1]])
+    for values in (mesh.corner_normals, mesh.corner_colours):
+        if values is not None:
+            first, second = differences(values)
+            differs |= far(first) | far(second)
+    if mesh.textures is not None:
+        index = np.asarray(mesh.textures.index)[faces]
+        first, second = differences(mesh.textures.uv)
+        is_seam = far(first - np.round(first)) | far(second - np.round(first))
+        differs |= (index[:, 0] != index[:, 1]) | (is_seam & (index[:, 0] >= 0))
     return differs & (faces[:, 1] != NO_NEIGHBOUR)

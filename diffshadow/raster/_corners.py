@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from .._arithmetic import as_array
 from .._types import Faces, Resolution
+from ..geometry import Textures
 from ..settings import maps
 from ..settings.maps import Cull
 from ._depth_test import DepthTest
@@ -24,6 +25,7 @@ def rasterize_with_corners(
     cull: Cull = maps.ShadowMap.cull,
     depth_test: DepthTest | None = None,
     polygon_offset: Any = None,
+    alpha_test: Textures | None = None,
 ) -> tuple[Fragments, Fragments]:
     """What pixels see at their centres, (h, w), and at their corners, (h + 1, w + 1), of each layer.
 
@@ -40,6 +42,7 @@ def rasterize_with_corners(
         depth_test=depth_test,
         polygon_offset=polygon_offset,
         viewports=as_array(sides),
+        alpha_test=alpha_test,
     )
     return _parted(seen, clip.shape[:-2], resolution)
 

@@ -8,6 +8,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._arithmetic import safe_divide
 from .._types import Viewport
+from ._alpha_test import AlphaForm
 from ._bins import Corners, WindowCoordinates
 from ._depth_test import DepthTest
 from ._fixed import SUBPIXEL_BITS, SUBPIXELS, edge_at_pixel, owns_edge, signed_area
@@ -31,7 +32,8 @@ class EdgeForm(eqx.Module):
     At `i` pixels to the right and `j` above that pixel the edge functions are `edge + i · a + j · b`, none negative
     where the centre is inside. Depth at the centre of a pixel comes from `plane`, kept between `least` and `greatest`;
     `offset` is added by polygon offset, if there is one. `turn` is 1 for front faces, which are anticlockwise, and -1
-    for others. The pixel's own place in the buffer is (`row`, `column`).
+    for others. The pixel's own place in the buffer is (`row`, `column`). With an alpha test, `alpha` has the texture
+    coordinates.
     """
 
     x: Int[Array, " n"]
@@ -46,6 +48,7 @@ class EdgeForm(eqx.Module):
     greatest: Float[Array, " n"]
     offset: Float[Array, " n"] | None
     turn: Int[Array, " n"]
+    alpha: AlphaForm | None = None
 
 
 def edge_form(
@@ -56,6 +59,7 @@ def edge_form(
     place: tuple[Int[Array, " n"], Int[Array, " n"]],
     test: DepthTest,
     polygon_offset: Float[Array, "2"] | None,
+    alpha: AlphaForm | None = None,
 ) -> EdgeForm:
     """Edge functions of triangles, either winding, about the pixels (`x`, `y`).
 
@@ -64,6 +68,7 @@ def edge_form(
     - `plane`: the planes they lie in.
     - `place`: row and column of these pixels in the buffer.
     - `polygon_offset`: (2,), OpenGL's factor and units.
+    - `alpha`: their texture coordinates about these pixels, for an alpha test.
     """
     turn = jnp.where(signed_area(corners.x, corners.y) < 0, -1, 1)
     centre_x, centre_y = ((pixel << SUBPIXEL_BITS) + SUBPIXELS // 2 for pixel in (x, y))
@@ -82,7 +87,7 @@ def edge_form(
         # OpenGL 4.6, section 14.6.5: o = m · factor + r · units.
         steepness = jnp.maximum(jnp.abs(plane.slope_x), jnp.abs(plane.slope_y))
         shift = steepness * factor + test.resolution_at(greatest) * units
-    return EdgeForm(x, y, *place, edge, a, b, plane, least - slack, greatest + slack, shift, turn)
+    return EdgeForm(x, y, *place, edge, a, b, plane, least - slack, greatest + slack, shift, turn, alpha)
 
 
 def plane_of_corners(window: WindowCoordinates, corners: Corners) -> DepthPlane:

@@ -21,7 +21,8 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from .._arithmetic import dot, in_float64, safe_divide, take
-from ..geometry import AbstractLight, Mesh, View
+from ..geometry import AbstractLight, Mesh, Textures, View
+from ._alpha_test import Cutouts
 from ._items import Items
 from ._span import extent
 from ._strips import BLOCK, Strips, in_strips
@@ -45,11 +46,12 @@ _ITEMS, _PAIRS = 8192, 2048
 class Shadows(NamedTuple):
     """Of each triangle the space that it hides from the light: where `edges`, three planes through the light, are not
     negative, and `face`, its own plane, is negative, but not below `-reach` (f,). A plane is four coefficients, (f,)
-    each."""
+    each. `opposite`: the height of the third corner above each of the edges' planes, (f,) each."""
 
     edges: list[list[Float[Array, " f"]]]
     face: list[Float[Array, " f"]]
     reach: Float[Array, " f"]
+    opposite: list[Float[Array, " f"]]
 
 
 class Outlines(NamedTuple):
@@ -87,8 +89,9 @@ def hidden_points(
     Points that `seen_points` leaves out are not hidden. Evaluated in double precision, without derivatives.
     """
     given = lax.stop_gradient((mesh.vertices, mesh.faces, casts, light, *_views_of(light, points), points, face))
+    alpha_test = lax.stop_gradient(mesh.alpha_test)
     with jax.enable_x64(True):
-        return _hidden_points(*given)
+        return _hidden_points(*given, alpha_test)
 
 
 def seen_points(
@@ -133,6 +136,7 @@ def _hidden_points(
     layer: Array | None,
     points: Array,
     face: Array,
+    textures: Textures | None,
 ) -> Array:
     vertices, light, view, points = in_float64((vertices, light, view, points))
     view = _along_rays(view, light)
@@ -150,7 +154,7 @@ def _hidden_points(
     strips = in_strips(x, y, seen)
     outlines = lax.optimization_barrier(_outlines(view, vertices, faces, casts))
     shadows = lax.optimization_barrier(_shadows(corners, light, centre))
-    return _test(strips, outlines, shadows, points - centre, jnp.where(seen, own, -1), tiny)
+    return _test(strips, outlines, shadows, points - centre, jnp.where(seen, own, -1), tiny, textures)
 
 
 def _along_rays(view: View, light: AbstractLight) -> View:
@@ -280,7 +284,8 @@ def _shadows(corners: list[Array], light: AbstractLight, centre: Array) -> Shado
     limit = jnp.inf if light.is_directional else jnp.abs(height) * (1 / _SHORT_OF_LIGHT - 1)
     # A triangle that the light sees edge-on hides nothing.
     reach = jnp.where(height == 0, -jnp.inf, jnp.broadcast_to(limit, height.shape))
-    return Shadows(edges, plane(normal, a), reach)
+    opposite = [_height(edge, *corner) for edge, corner in zip(edges, (c, a, b), strict=True)]
+    return Shadows(edges, plane(normal, a), reach, opposite)
 
 
 def _minus(a: list[Array], b: list[Array]) -> list[Array]:
@@ -307,6 +312,7 @@ def _test(
     points: Float[Array, "n 3"],
     own: Int[Array, " n"],
     tiny: Float[Array, ""],
+    textures: Textures | None,
 ) -> Bool[Array, " n"]:
     """Which points, on their `own` faces (n,), lie in a triangle's shadow."""
     n, faces = points.shape[0], shadows.reach.shape[0]
@@ -316,6 +322,7 @@ def _test(
     places = [jnp.where(own >= 0, take(points[:, k], index), jnp.nan) for k in range(3)]
     planes = [*shadows.edges, shadows.face]
     boxes = _boxes(places, strips)
+    cutouts = None if textures is None else Cutouts.of(textures)
 
     first, count = strips.strips_between(outlines.low, outlines.high)
     items = Items.of(count, jnp.int64)
@@ -343,6 +350,9 @@ def _test(
             inside = (heights[0] >= -tiny) & (heights[1] >= -tiny) & (heights[2] >= -tiny)
             behind = (heights[3] < -tiny) & (heights[3] >= -take(shadows.reach, triangle)[:, None])
             hit = inside & behind & (take(own, at) != triangle[:, None])
+            if textures is not None and cutouts is not None:
+                index = jnp.broadcast_to(take(textures.index, triangle)[:, None], hit.shape)
+                hit = hit & cutouts.passes(index, _coordinates(textures, shadows.opposite, triangle, heights[:3]))
             hidden = hidden.at[jnp.where(exists, at, blocks)].max(hit, mode="drop")
             return start + _PAIRS, hidden
 
@@ -352,6 +362,22 @@ def _test(
     start = jnp.zeros((blocks, BLOCK), bool)
     _, hidden = lax.while_loop(lambda state: state[0] < items.total, of_items, (jnp.int64(0), start))
     return jnp.zeros(n, bool).at[strips.order.reshape(-1)].set(hidden.reshape(-1), mode="drop")
+
+
+def _coordinates(
+    textures: Textures, opposite: list[Array], triangle: Int[Array, " p"], heights: list[Array]
+) -> Float[Array, "p b 2"]:
+    """The texture coordinates of the points of triangles that hide points with these heights above the edges' planes.
+
+    Along a ray from the light, the three heights change by one factor. So at the triangle, they are in proportion to
+    the barycentric coordinates of the opposite corners, times these corners' heights.
+    """
+    uv = take(textures.uv, triangle)[:, None]
+    pairs = zip(heights, opposite, strict=True)
+    c, a, b = (safe_divide(height, take(whole, triangle)[:, None]) for height, whole in pairs)
+    total = a + b + c
+    mean = sum(weight[..., None] * uv[:, :, corner] for corner, weight in enumerate((a, b, c)))
+    return safe_divide(jnp.asarray(mean), total[..., None])
 
 
 def _height(plane: list[Array], x: Array, y: Array, z: Array) -> Array:

@@ -16,7 +16,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._arithmetic import take
 from .._types import ClipVertices, Faces
-from ..geometry import Pages
+from ..geometry import Pages, Textures
+from ._alpha_test import AlphaTest
 from ._bins import CLASSES, CLIPPED, NOTHING, Box, Corners, Facing, Triangles, classify
 from ._compact import Groups, group
 from ._depth_test import DepthTest
@@ -74,7 +75,11 @@ class PagedDrawing(BufferDrawing):
         facing: Facing,
         test: DepthTest,
         polygon_offset: Float[Array, "2"] | None = None,
+        textures: Textures | None = None,
     ):
+        self.textures = textures
+        size = pages.side, pages.side
+        self.alpha_test = None if textures is None else AlphaTest(textures, clip, faces, size)
         self.clip, self.faces, self.pages = clip, faces, pages
         self.facing = facing
         self.test, self.polygon_offset = test, polygon_offset
@@ -112,8 +117,10 @@ class _LevelPass(DrawPass):
         size = self.pages.size(level.level)
         self.origins = self.pages.tile.origin
         self.level, self.table = level.level, whole.table
+        textures, clip = whole.textures, whole.clip
+        alpha_test = None if textures is None else AlphaTest(textures, clip, whole.faces, (size, size))
         layers = self.pages.level.shape[0] * self.pages.side, self.pages.side
-        super().__init__(triangles, (size, size), whole.facing, whole.test, whole.polygon_offset, layers)
+        super().__init__(triangles, (size, size), whole.facing, whole.test, whole.polygon_offset, layers, alpha_test)
 
     @property
     def _counts(self) -> Int[Array, " c"]:

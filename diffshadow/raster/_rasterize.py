@@ -15,10 +15,11 @@ from .._arithmetic import as_float
 from .._checks import check_value
 from .._padding import padded_to, shared_mesh_size
 from .._types import Faces, Resolution
-from ..geometry import Pages
+from ..geometry import Pages, Textures
 from ..settings import maps
 from ..settings.maps import Cull
 from ..settings.quantities import MAX_TEXELS, Size
+from ._alpha_test import AlphaTest
 from ._band_pass import BandDrawing, bands_of
 from ._bins import FACING, bin_triangles
 from ._depth_test import DepthTest
@@ -68,6 +69,7 @@ def rasterize(
     pages: Pages | None = None,
     viewports: Int[Array, "b 2"] | None = None,
     buffer: Resolution | None = None,
+    alpha_test: Textures | None = None,
 ) -> Fragments:
     """The nearest face at every pixel centre, by OpenGL's rules.
 
@@ -91,10 +93,13 @@ def rasterize(
         drawn into. Pixels beyond see nothing.
     - `buffer`: (height, width) in pixels, at least `resolution`: draws into a part of an image of this size. Outside of
         a trace, drawings with one buffer share what is compiled; under a trace, and with pages, it is ignored.
+    - `alpha_test`: `Mesh.alpha_test`: textures of the faces, whose cutoffs cut out pixels, as by `discard`.
 
     **Raises** `ValueError` for a resolution, buffer or depth test out of range.
     """
-    return _draw(clip, faces, resolution, cull, depth_test, polygon_offset, behind, True, pages, viewports, buffer)
+    return _draw(
+        clip, faces, resolution, cull, depth_test, polygon_offset, behind, True, pages, viewports, buffer, alpha_test
+    )
 
 
 def rasterize_depth(
@@ -105,12 +110,15 @@ def rasterize_depth(
     cull: Cull = maps.ShadowMap.cull,
     depth_test: DepthTest | None = None,
     polygon_offset: Any = None,
+    alpha_test: Textures | None = None,
 ) -> Float[Array, "*b h w"]:
     """The depth buffer alone, (h, w): `rasterize(...).depth`, in less time. It carries no gradient."""
-    return _draw(clip, faces, resolution, cull, depth_test, polygon_offset, None, False, None, None, None)
+    return _draw(clip, faces, resolution, cull, depth_test, polygon_offset, None, False, None, None, None, alpha_test)
 
 
-def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, with_face, pages, viewports, buffer) -> Any:
+def _draw(
+    clip, faces, resolution, cull, test, polygon_offset, behind, with_face, pages, viewports, buffer, alpha_test
+) -> Any:
     test = test or DepthTest()
     test.check()
     check_value("the resolution", resolution, Size, "pixels")
@@ -129,14 +137,23 @@ def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, with_face
     clip, faces = padded(clip if clip.dtype == jnp.float32 else clip.astype(jnp.float32), faces)
     if polygon_offset is not None:
         polygon_offset = lax.stop_gradient(as_float(polygon_offset)).astype(jnp.float32)
-    given = clip, faces, polygon_offset, behind, viewports
+    if alpha_test is not None:
+        if alpha_test.index.shape != faces.shape[:1]:
+            alpha_test = alpha_test.padded(faces.shape[0])
+        single = lambda leaf: lax.stop_gradient(leaf.astype(jnp.float32)) if eqx.is_inexact_array(leaf) else leaf
+        alpha_test = jax.tree.map(single, alpha_test)
+    given = clip, faces, polygon_offset, behind, viewports, alpha_test
     if pages is None and not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(given)):
-        return _draw_shared(clip, faces, resolution, cull, test, polygon_offset, behind, with_face, viewports, buffer)
+        return _draw_shared(
+            clip, faces, resolution, cull, test, polygon_offset, behind, with_face, viewports, buffer, alpha_test
+        )
 
     def view(clip: Any, behind: Array | None, viewport: Array | None) -> Fragments | Array:
         viewport = resolution if viewport is None else viewport
         draws = FACING[cull]
-        return _traced(clip, faces, viewport, resolution, draws, test, polygon_offset, behind, with_face, pages)
+        return _traced(
+            clip, faces, viewport, resolution, draws, test, polygon_offset, behind, with_face, pages, alpha_test
+        )
 
     # One view after the other, since each has its own number of triangles to draw.
     return lax.map(lambda each: view(*each), (clip, behind, viewports)) if clip.ndim > 2 else view(clip, behind, None)
@@ -146,7 +163,9 @@ def _draw(clip, faces, resolution, cull, test, polygon_offset, behind, with_face
 _SHARED_SIDE = 256
 
 
-def _draw_shared(clip, faces, resolution, cull, test, polygon_offset, behind, with_face, viewports, buffer) -> Any:
+def _draw_shared(
+    clip, faces, resolution, cull, test, polygon_offset, behind, with_face, viewports, buffer, alpha_test
+) -> Any:
     """Draws outside of a trace, so that what is compiled is shared: by all small images, by one view and several, and
     whatever is culled."""
     height, width = resolution
@@ -160,7 +179,7 @@ def _draw_shared(clip, faces, resolution, cull, test, polygon_offset, behind, wi
     # In one array and in NumPy, since to make one on the device takes longer than a small image.
     numbers = lambda viewport: np.array([*viewport, *FACING[cull]], np.int32)
     view = lambda clip, behind, viewport: _shared(
-        clip, faces, numbers(viewport), buffer, test, polygon_offset, behind, with_face
+        clip, faces, numbers(viewport), buffer, test, polygon_offset, behind, with_face, alpha_test
     )
     # Nothing here depends on the default precision: programs are shared by both.
     with jax.enable_x64(False):
@@ -191,7 +210,7 @@ def _together(views: list[Fragments | Array], height: int, width: int) -> Any:
 
 
 def _rasterize(
-    clip, faces, viewport, resolution, facing, test, polygon_offset, behind, with_face, pages
+    clip, faces, viewport, resolution, facing, test, polygon_offset, behind, with_face, pages, textures
 ) -> Fragments | Float[Array, "*l h w"]:
     """One view in the lower left part of an image of `resolution`, or in pages."""
     height, width = viewport
@@ -205,16 +224,17 @@ def _rasterize(
         depth = jnp.where(seen, test.decode(depth), jnp.float32(1))
         return depth if face is None else Fragments(jnp.where(seen, face, NO_FACE), depth)
 
+    alpha_test = None if textures is None or pages is not None else AlphaTest(textures, clip, faces, viewport)
     bands = bands_of(resolution, 8 if with_face else 4)
     drawing: Drawing
     if pages is None and behind is None and bands > 1:
-        drawing = BandDrawing(clip, faces, (height, width), facing, test, polygon_offset, resolution, bands)
+        drawing = BandDrawing(clip, faces, (height, width), facing, test, polygon_offset, resolution, bands, alpha_test)
     else:
         if pages is None:
             triangles = bin_triangles(clip, faces, (height, width), facing)
-            in_one = DrawPass(triangles, (height, width), facing, test, polygon_offset, resolution)
+            in_one = DrawPass(triangles, (height, width), facing, test, polygon_offset, resolution, alpha_test)
         else:
-            in_one = PagedDrawing(clip, faces, pages, facing, test, polygon_offset)
+            in_one = PagedDrawing(clip, faces, pages, facing, test, polygon_offset, textures)
         behind = None if behind is None else in_one.padded(behind, NO_FACE)
         drawing = in_one
     return least_depth_and_face(drawing, behind, finish) if with_face else least_depth(drawing, finish)
@@ -226,7 +246,8 @@ _traced = eqx.filter_jit(_rasterize)
 
 # Equinox's takes a tenth of a millisecond longer to call.
 @partial(jax.jit, static_argnames=("buffer", "test", "with_face"))
-def _shared(clip, faces, numbers, buffer, test, polygon_offset, behind, with_face) -> Any:
+def _shared(clip, faces, numbers, buffer, test, polygon_offset, behind, with_face, textures) -> Any:
     height, width, front, back = numbers
     facing = front > 0, back > 0
-    return _rasterize(clip, faces, (height, width), buffer, facing, test, polygon_offset, behind, with_face, None)
+    size = height, width
+    return _rasterize(clip, faces, size, buffer, facing, test, polygon_offset, behind, with_face, None, textures)

@@ -7,15 +7,17 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from .._arithmetic import dot, normalize
+from .._arithmetic import dot, normalize, take
 from .._checks import check_instance
 from .._pictures import as_html, is_known, lit
 from .._types import ClipVertices, FaceMap, Mask, Resolution, Vec3, VectorMap
-from ..geometry import AbstractCamera, Mesh, MeshLike, View, as_mesh, face_normals
+from ..geometry import NO_TEXTURE, AbstractCamera, Mesh, MeshLike, View, as_mesh, face_normals
 from ..settings import maps
 from ..settings.maps import Cull
+from ._alpha_test import Cutouts
 from ._fixed import at_steps
 from ._interpolate import (
+    Barycentrics,
     Points,
     Rows,
     barycentrics_at,
@@ -101,7 +103,7 @@ def draw_surface(
         if not (isinstance(subpixels, int) and subpixels > 0):
             raise ValueError(f"subpixels is {subpixels!r}; expected a whole number of steps to a pixel, such as 16")
         clip = at_steps(clip, camera.resolution, subpixels)
-    face = rasterize(clip, mesh.faces, camera.resolution, cull=cull, buffer=buffer).face
+    face = rasterize(clip, mesh.faces, camera.resolution, cull=cull, buffer=buffer, alpha_test=mesh.alpha_test).face
     return surface_at_centres(mesh, camera.eye, view, face, clip)
 
 
@@ -114,6 +116,15 @@ def surface_at_centres(mesh: Mesh, eye: Vec3, view: View, face: FaceMap, clip: C
 def surface_at_points(mesh: Mesh, eye: Vec3, view: View, face: FaceMap, clip: ClipVertices, points: Points) -> Surface:
     """The surface of given faces at given points of the window, both (h, w)."""
     return _surface_of(mesh, eye, view, face.size, clip)(face, points)
+
+
+def passes_at_points(mesh: Mesh, face: FaceMap, clip: ClipVertices, points: Points) -> Mask:
+    """Where the mesh's alpha test does not cut out given faces at given points of the window, both (h, w)."""
+    textures = mesh.alpha_test
+    assert textures is not None
+    at = barycentrics_at(face, corner_values(clip, mesh.faces, face.size), points)
+    index = jnp.where(at.mask, take(textures.index, at.face), NO_TEXTURE)
+    return Cutouts.of(textures).passes(index, interpolate_corners(at, textures.uv))
 
 
 def _surface_of(
@@ -135,10 +146,21 @@ def _surface_of(
             position=position,
             normal=jnp.where(from_behind[..., None], -normal, normal),
             interpolated_normal=interpolate_corners(at, mesh.corner_normals),
-            albedo=of_face(at, mesh.albedo),
+            albedo=_albedo(at, mesh),
             face=face,
             mask=at.mask,
             from_behind=from_behind,
         )
 
     return surface
+
+
+def _albedo(at: Barycentrics, mesh: Mesh) -> VectorMap:
+    """The diffuse colour: the face's, times the mean of its corners', times its texture's."""
+    albedo = of_face(at, mesh.albedo)
+    if mesh.corner_colours is not None:
+        albedo = albedo * interpolate_corners(at, mesh.corner_colours)
+    if mesh.textures is not None:
+        index = jnp.where(at.mask, take(mesh.textures.index, at.face), NO_TEXTURE)
+        albedo = albedo * mesh.textures.at(index, interpolate_corners(at, mesh.textures.uv))[..., :3]
+    return albedo

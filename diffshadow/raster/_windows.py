@@ -28,6 +28,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._arithmetic import take, take_last
 from .._device import chunk_size, is_on_gpu
 from .._types import Resolution, Viewport
+from ._alpha_test import AlphaTest
 from ._bins import BLOCK, CLIPPED, LARGE, WINDOWS, Box, Corners, Facing, Triangles, draws, pixel_box, to_window
 from ._clip import FAN, clip_triangles
 from ._compact import sums_up_to
@@ -78,6 +79,7 @@ class Drawing(Protocol):
     """Draws something into an image."""
 
     test: DepthTest
+    alpha_test: AlphaTest | None
 
     def image(self, write: Write, nothing: float | int, dtype: DTypeLike, finish: Finish) -> Any:
         """Writes all triangles into an image that holds `nothing` at first, and returns what `finish` makes of it."""
@@ -125,7 +127,9 @@ class DrawPass(BufferDrawing):
         test: DepthTest,
         polygon_offset: Float[Array, "2"] | None = None,
         buffer: Resolution | None = None,
+        alpha_test: AlphaTest | None = None,
     ):
+        self.alpha_test = alpha_test
         self.triangles, self.resolution, self.buffer = triangles, resolution, buffer or resolution
         self.facing, self.test, self.polygon_offset = facing, test, polygon_offset
         in_small, in_large, on_gpu = _CLIPPED_AT_ONCE
@@ -159,11 +163,15 @@ class DrawPass(BufferDrawing):
         corners = Corners.snapped(window)
         return corners, plane_of_corners(window, corners)
 
-    def _form(self, corners: Corners, plane: DepthPlane, x: Array, y: Array, layer: Array | None) -> EdgeForm:
-        """Edge functions of triangles about the pixels (`x`, `y`) of their layers."""
+    def _form(
+        self, corners: Corners, plane: DepthPlane, face: Array, x: Array, y: Array, layer: Array | None
+    ) -> EdgeForm:
+        """Edge functions of triangles of faces about the pixels (`x`, `y`) of their layers."""
         left, bottom = self._origin(layer)
         place, corners = self._place(x, y, layer), lax.optimization_barrier(corners)
-        form = edge_form(corners, plane, x + left, y + bottom, place, self.test, self.polygon_offset)
+        at = x + left, y + bottom
+        alpha = None if self.alpha_test is None else self.alpha_test.form(face, *at)
+        form = edge_form(corners, plane, *at, place, self.test, self.polygon_offset, alpha)
         # The barrier keeps XLA from computing the edge functions again for every pixel.
         return lax.optimization_barrier(form)
 
@@ -203,7 +211,7 @@ class DrawPass(BufferDrawing):
             if layer is not None:
                 used = used & (box.left <= box.right) & (box.bottom <= box.top)
             x, y = (jnp.where(used, low, _OUT_OF_BOUNDS) for low in (box.left - left, box.bottom - bottom))
-            form, source = self._form(corners, plane, x, y, layer), jnp.where(used, face, -1)
+            form, source = self._form(corners, plane, face, x, y, layer), jnp.where(used, face, -1)
             branches = [lambda buffer, side=side: write(buffer, form, source, side) for side in WINDOWS]
             return lax.switch(size_class, branches, buffer)
 
@@ -264,7 +272,7 @@ class DrawPass(BufferDrawing):
                 own, own_plane, own_source, own_layer = _of((corners, plane, source, layer), owner)
                 origin_x, origin_y = self._origin(own_layer)
                 x, y = (jnp.where(exists, low, _OUT_OF_BOUNDS) for low in (x + column * BLOCK - origin_x, y - origin_y))
-                form = self._form(own, own_plane, x, y, own_layer)
+                form = self._form(own, own_plane, own_source, x, y, own_layer)
                 # Nor is the face looked up again for every pixel.
                 own_source = lax.optimization_barrier(jnp.where(exists, own_source, -1))
                 return write(buffer, form, own_source, BLOCK)
@@ -279,12 +287,20 @@ def _of(tree: Any, owner: Int[Array, " n"]) -> Any:
     return jax.tree.map(lambda values: take_last(values, owner), tree)
 
 
+def _tested_depth(drawing: Drawing, form: EdgeForm, source: Int[Array, " n"], side: int) -> Float[Array, "n side side"]:
+    """`window_depth`, and infinite where the alpha test fails."""
+    depth = window_depth(form, source >= 0, side, drawing.test)
+    if drawing.alpha_test is None or form.alpha is None:
+        return depth
+    return jnp.where(drawing.alpha_test.passes(form.alpha, side), depth, jnp.inf)
+
+
 def least_depth(drawing: Drawing, finish: FinishDepth) -> Any:
     """What `finish` makes of the least depth at every pixel."""
     # As the bits of positive floats, which are integers of the same order: the least of floats also keeps NaN, which
     # takes longer.
     bits = lambda depth: lax.bitcast_convert_type(depth, jnp.int32)
-    stored = lambda form, source, side: bits(window_depth(form, source >= 0, side, drawing.test))
+    stored = lambda form, source, side: bits(_tested_depth(drawing, form, source, side))
     depth = lambda least, first: finish(lax.bitcast_convert_type(least, jnp.float32), None, first)
     return _least(drawing, stored, int(np.float32(np.inf).view(np.int32)), jnp.int32, depth)
 
@@ -299,7 +315,7 @@ def least_depth_and_face(drawing: Drawing, behind: Int[Array, "rows columns"] | 
     order = lambda face: ~face if drawing.test.compare == "less_equal" else face
 
     def stored(form: EdgeForm, source: Int[Array, " n"], side: int) -> Array:
-        depth = window_depth(form, source >= 0, side, drawing.test)
+        depth = _tested_depth(drawing, form, source, side)
         if behind is not None:
             passed = lax.gather(behind, corner(form), GATHER, (side, side), mode=CLIPPED_READS)
             depth = jnp.where(passed == source[:, None, None], jnp.inf, depth)

@@ -7,7 +7,8 @@ from jaxtyping import Bool, Float, Float64, Int
 
 from .._types import HostArray
 from ..geometry import Mesh
-from ._rays import Hits, Rays, Triangles
+from ._cutouts import barycentrics_of
+from ._rays import Hits, Rays, Triangles, hits_on_planes
 from ._tracer import AbstractTracer
 
 _ROUNDING = 2.0**-24
@@ -19,6 +20,8 @@ _ROUNDINGS_OF_POSITION = 8.0
 _ROUNDINGS_OF_TILT = 0.25
 # Faces thinner than this are invisible at any resolution, and the offset must not become visible.
 _MAX_SLENDERNESS = 2.0**14
+# A ray passes through so many cut-outs at most; what it then meets stops it.
+_MOST_LAYERS = 4096
 
 
 class EmbreeTracer(AbstractTracer):
@@ -36,15 +39,52 @@ class EmbreeTracer(AbstractTracer):
 
     def __init__(self, triangles: Triangles):
         self.offsets = self_hit_offsets(triangles)
-        self._scene = EmbreeScene(robust=True)
-        TriangleMesh(self._scene, np.ascontiguousarray(triangles.corners, dtype=np.float32))
-        # The first query builds the BVH, which is not thread-safe.
-        self._scene.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))
+        self._triangles, self._scene = triangles, _scene_of(triangles)
+        self._whole, self._cut = self._scene, None
+        if triangles.cutouts is not None and triangles.cutouts.tested.any():
+            # Whole triangles stop shadow rays at once; rays pass through parts of the others.
+            tested = triangles.cutouts.tested
+            self._whole = None if tested.all() else _scene_of(triangles.only(~tested))
+            self._cut = EmbreeTracer._of_cut(triangles.only(tested))
+
+    @classmethod
+    def _of_cut(cls, triangles: Triangles) -> "EmbreeTracer":
+        """Of triangles that all have an alpha test, for rays to any of them."""
+        tracer = object.__new__(cls)
+        tracer.offsets, tracer._triangles = self_hit_offsets(triangles), triangles
+        tracer._scene = _scene_of(triangles)
+        tracer._whole, tracer._cut = None, tracer
+        return tracer
 
     def closest(self, rays: Rays) -> Int[HostArray, " n"]:
-        return self._scene.run(
-            rays.origin.astype(np.float32), rays.direction.astype(np.float32), dists=rays.reach.astype(np.float32)
-        )
+        found = self._first(rays)
+        if self._cut is None:
+            return found
+        cutouts = self._triangles.cutouts
+        assert cutouts is not None
+        waiting, ahead = np.arange(len(found)), rays
+        for _ in range(_MOST_LAYERS):
+            # Of the rays that are under way, those that have met a cut-out go on behind it.
+            face = found[waiting]
+            met = np.flatnonzero(face >= 0)
+            met = met[cutouts.tested[face[met]]]
+            ahead, waiting, face = Rays(*(values[met] for values in ahead)), waiting[met], face[met]
+            hits = hits_on_planes(ahead, face, self._triangles)
+            cut = cutouts.contain(face, barycentrics_of(hits.position, self._triangles.corners[face]))
+            if not cut.any():
+                break
+            hits, waiting = Hits(*(values[cut] for values in hits)), waiting[cut]
+            origin = hits.position - self.offsets[hits.face, None] * hits.normal
+            gone = np.sum((origin - ahead.origin[cut]) * ahead.direction[cut], axis=1)
+            ahead = Rays(origin, ahead.direction[cut], ahead.reach[cut] - gone)
+            found[waiting] = np.where(ahead.reach > 0, self._first(ahead), -1)
+        return found
+
+    def _first(self, rays: Rays) -> Int[HostArray, " n"]:
+        """The first face that each ray hits, whole or not."""
+        single = (np.ascontiguousarray(values, np.float32) for values in (rays.origin, rays.direction, rays.reach))
+        origin, direction, reach = single
+        return self._scene.run(origin, direction, dists=reach)
 
     def start(self, hits: Hits) -> Float64[HostArray, "n 3"]:
         offset = hits.position + self.offsets[hits.face, None] * hits.normal
@@ -60,7 +100,25 @@ class EmbreeTracer(AbstractTracer):
         reach: float,
     ) -> Bool[HostArray, " r"]:
         starts = np.take(origin.astype(np.float32), which, axis=0)
-        return self._scene.run(starts, direction, dists=reach, query="OCCLUDED") != -1
+        if self._whole is None:
+            hit = np.zeros(len(which), bool)
+        else:
+            hit = self._whole.run(starts, direction, dists=reach, query="OCCLUDED") != -1
+        if self._cut is not None:
+            free = np.flatnonzero(~hit)
+            towards = direction[free].astype(np.float64)
+            length = np.linalg.norm(towards, axis=1)
+            rays = Rays(starts[free].astype(np.float64), towards / length[:, None], reach * length)
+            hit[free] = self._cut.closest(rays) >= 0
+        return hit
+
+
+def _scene_of(triangles: Triangles) -> EmbreeScene:
+    scene = EmbreeScene(robust=True)
+    TriangleMesh(scene, np.ascontiguousarray(triangles.corners, dtype=np.float32))
+    # The first query builds the BVH, which is not thread-safe.
+    scene.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))
+    return scene
 
 
 def occluded(

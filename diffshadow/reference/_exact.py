@@ -32,7 +32,7 @@ class ExactTracer(AbstractTracer):
     def __init__(self, triangles: Triangles):
         self._corner = triangles.corners[:, 0]
         self._edges = triangles.corners[:, 1:] - triangles.corners[:, :1]
-        self._numbers = triangles.numbers
+        self._numbers, self._cutouts = triangles.numbers, triangles.cutouts
 
     def closest(self, rays: Rays) -> Int[HostArray, " n"]:
         face = np.full(len(rays.origin), -1, dtype=np.int32)
@@ -80,6 +80,10 @@ class ExactTracer(AbstractTracer):
         q = np.cross(s, first)
         v = np.einsum("nfd,nd->nf", q, direction) * inverse
         inside = ~parallel & (u >= -_TINY) & (v >= -_TINY) & (u + v <= 1 + _TINY)
+        if self._cutouts is not None:
+            ray, face = np.nonzero(inside & self._cutouts.tested)
+            b, c = u[ray, face], v[ray, face]
+            inside[ray, face] = ~self._cutouts.contain(face, np.stack([1 - b - c, b, c], axis=1))
         return np.where(inside, np.einsum("nfd,fd->nf", q, second) * inverse, np.inf)
 
 

@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from ..geometry import Scene
+from .._types import HostArray
+from ..geometry import Mesh, Scene
 from ..settings.reference import Blockers, Sampler
 from ..settings.reference import TracedReference as Settings
 from ._sampling import check_sampling
@@ -27,8 +28,9 @@ def key_parts(
 ) -> tuple[Any, ...]:
     """A nested tuple of strings, numbers and NumPy arrays that determines the result of `trace_visibility`.
 
-    Equal keys mean equal references. The key leaves out what has no effect on visibility: shading normals, albedo, a
-    spot light's inner angle, and samples, sampler and seed for a light without size.
+    Equal keys mean equal references. The key leaves out what has no effect on visibility: shading normals, albedo,
+    colours of corners and textures, a spot light's inner angle, and samples, sampler and seed for a light without size.
+    Of textures with an alpha test, it has alpha, cutoffs and texture coordinates.
 
     **Raises** `ValueError` as `trace_visibility` does for several lights, `samples`, `sampler` and `supersampling`.
     """
@@ -37,8 +39,17 @@ def key_parts(
     of_light = (int(samples), str(sampler), int(seed)) if light.has_size else (1, "centre", 0)
     sampling = (*of_light, int(supersampling))
     mesh = scene.mesh
-    triangles = (np.asarray(mesh.vertices), np.asarray(mesh.faces), blocking_faces(scene, blockers))
+    triangles = (np.asarray(mesh.vertices), np.asarray(mesh.faces), blocking_faces(scene, blockers), *_cutouts(mesh))
     return ("reference", _ALGORITHM, sampling, triangles, _fields(scene.camera), _fields(light))
+
+
+def _cutouts(mesh: Mesh) -> tuple[HostArray, ...]:
+    """What an alpha test of the mesh depends on; nothing without one."""
+    textures = mesh.alpha_test
+    if textures is None:
+        return ()
+    arrays = textures.uv, textures.index, textures.texels[:, 3], textures.table, textures.cutoff
+    return tuple(np.asarray(array) for array in arrays)
 
 
 def _fields(module: Any) -> tuple[Any, ...]:

@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float64, Int
 from .._arithmetic import in_float64
 from .._types import HostArray
 from ..geometry import AbstractCamera, Mesh, View
+from ._cutouts import Cutouts
 
 _DIAGONAL = np.sqrt(3.0)
 
@@ -28,6 +29,7 @@ class Triangles:
     - `normals`: (f, 3), unit, outwards by the right-hand rule; 0 for a face without area.
     - `areas`: (f,), in squared frame units.
     - `numbers`: (f,), the index of each face in the mesh.
+    - `cutouts`: where rays pass through them; none without an alpha test.
 
     **Raises** `ValueError` if the whole mesh is a single point.
     """
@@ -49,12 +51,14 @@ class Triangles:
         self.areas = np.linalg.norm(normals, axis=-1) / 2
         self.normals = normals / np.where(self.areas == 0, 1, 2 * self.areas)[:, None]
         self.numbers = np.arange(len(self.corners))
+        self.cutouts = None if mesh.alpha_test is None else Cutouts(mesh.alpha_test)
 
     def only(self, faces: Bool[HostArray, " f"]) -> "Triangles":
         """The triangles selected by `faces` (f,), in the same frame."""
         some = copy.copy(self)
         some.corners, some.normals, some.areas = self.corners[faces], self.normals[faces], self.areas[faces]
         some.numbers = self.numbers[faces]
+        some.cutouts = None if self.cutouts is None else self.cutouts.only(faces)
         return some
 
     def to_frame(self, points: Float64[HostArray, "*n 3"]) -> Float64[HostArray, "*n 3"]:

@@ -23,8 +23,18 @@ MESH_SUFFIXES = (*GLTF_SUFFIXES, ".obj", ".off", ".ply", ".stl")
 """The suffixes of mesh files that the package reads itself."""
 NO_MESH_SUFFIXES = ("", ".yaml", ".yml", ".json", ".txt")
 """Suffixes that never name a mesh where a configuration is expected."""
+MAX_TEXTURE = 8192
+"""The most texels of a texture along each side."""
 LightKind = Literal["directional", "spot", "point"]
 """The lights of engines and of files."""
+
+
+class Cutout(Settings):
+    """The alpha test of a mesh."""
+
+    alpha_cutoff: Annotated[
+        float, Limits(0, 1), "alpha of the texture below which the mesh is cut out, as in foliage and fences"
+    ] = 0.5
 
 
 class Camera(Settings):

@@ -1,10 +1,10 @@
 """Shading: from visibility to the image of a lit scene."""
 
+from .._srgb import to_srgb
 from ._abstract import AbstractShading
 from ._colour import Colour
 from ._modulated import ModulatedShadow
 from ._phong import Attenuation, Phong
-from ._srgb import to_srgb
 
 __all__ = [
     "AbstractShading",

@@ -20,6 +20,7 @@ from ..settings.maps import ShadowMap as Settings
 from ..settings.quantities import MAX_TEXELS
 from ._map import ShadowMap
 from ._map_depths import depth_at_centres, midpoint, unwarped_depth
+from ._whole_faces import check_whole_faces
 from .silhouettes import Outline, SilhouetteMap, find_silhouettes
 
 
@@ -70,8 +71,9 @@ def draw_shadow_map(
 
     **Raises** `ValueError` if `depth_layer` is unknown, if `edges` are given with another one than `"nearest"` or with
     `cull`, or without `crossings` under a trace, if `edges` or a `polygon_offset` are given for a warped map, or
-    `edges` for one with pages or with cascades of several sizes, or a `shift` for any of these, and what `rasterize`
-    raises; and a runtime error if the silhouettes have more `crossings`.
+    `edges` for one with pages or with cascades of several sizes, or a `shift` for any of these, or `edges` for a mesh
+    with an alpha test, whose cut outlines are no edges, and what `rasterize` raises; and a runtime error if the
+    silhouettes have more `crossings`.
 
     !!! Example
 
@@ -93,6 +95,7 @@ def draw_shadow_map(
         depth = _depths(mesh.padded(), view, settings, buffer)
         return ShadowMap(depth, light, depth_format, view=view)
     _check_allows_edges(view, settings)
+    check_whole_faces(mesh, "silhouettes", "set the map's silhouettes to false")
     if crossings is None:
         crossings = plan_crossings(mesh, light, resolution, edges)
     mesh = mesh.padded()
@@ -128,6 +131,7 @@ def _depths(mesh: Mesh, view: View, settings: "MapSettings", buffer: Resolution 
             pages=view.pages,
             viewports=viewports,
             buffer=buffer,
+            alpha_test=mesh.alpha_test,
         )
 
     def depth_of(seen: Fragments) -> Float[Array, "*l h w"]:

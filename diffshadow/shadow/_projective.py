@@ -82,7 +82,8 @@ class ProjectiveShadow(AbstractTechnique):
     def prepare(self, scene: Scene, surface: Surface | None = None) -> ProjectiveTexture:
         """The silhouette of the scene's casters under its only light. It does not depend on `surface`."""
         casters, light = scene.casters.padded(), scene.light
-        face = rasterize(light.view().clip_vertices(casters.vertices), casters.faces, self.resolution).face
+        clip = light.view().clip_vertices(casters.vertices)
+        face = rasterize(clip, casters.faces, self.resolution, alpha_test=casters.alpha_test).face
         blurring = Blur(self.blur, self.max_blur, self.kernel)
         coverage = _blurred(as_float(face != NO_FACE), blurring)
         return ProjectiveTexture(coverage, light, scene.casting_faces, blurring.margin)

@@ -42,6 +42,7 @@ from ..raster import (
 from ..settings.techniques import ShadowVolumes as Settings
 from ..settings.techniques import VolumeMethod
 from ._technique import AbstractTechnique
+from ._whole_faces import check_whole_faces
 
 # Surfaces are moved this much nearer, in window depth, so that coplanar caps lie behind them despite rounding. It is
 # thousands of times the rounding error of float64, and 1/65,000 of float32's.
@@ -104,7 +105,10 @@ class ShadowVolumes(AbstractTechnique):
         """The scene's casters with their edges. It does not depend on `surface`; not for use inside `jax.jit`.
 
         Edges depend on the mesh alone: to draw one mesh many times, find them once.
+
+        **Raises** `ValueError` if a mesh has an alpha test, whose cut outlines extrude no volumes.
         """
+        check_whole_faces(scene.mesh, "shadow volumes", "use a shadow map")
         casters = scene.casters
         return VolumeScene(casters, scene.light, scene.camera, Edges.of(casters), scene.receivers)
 

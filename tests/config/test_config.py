@@ -64,7 +64,9 @@ def test_shipped_configs_load_and_explain_themselves(path):
     assert config.name == path.stem
     rows = {row.key: row for row in describe(config)}
     assert rows["bias.slope"].unit == "texels"
-    assert all(row.unit for key, row in rows.items() if key.startswith("fit.parameters.") and key.endswith(".upper"))
+    bounds = {key: row for key, row in rows.items() if key.startswith("fit.parameters.") and key.endswith(".upper")}
+    # Colours have none.
+    assert all(bool(row.unit) != (".albedo." in key) for key, row in bounds.items())
     assert rows["scene.camera.resolution"].unit == "pixels"
     assert rows["scene.meshes.0.path"].value.startswith("builtin:")
 
@@ -561,6 +563,11 @@ SCENES = {
         "3: scene.meshes.0.path: is 'builtin:boxx'; expected builtin: followed by plane, box, sphere, "
         "low_poly_sphere, torus, torus_knot, fence, thin_wall, chair or blob; did you mean 'builtin:box'?",
     ),
+    "alpha test of a builtin": (
+        "  meshes: [{path: 'builtin:box', alpha_cutoff: 0.5}]\n",
+        "2: scene.meshes.0.alpha_cutoff: is given with a builtin mesh; expected a mesh file, which may have UV; remove "
+        "alpha_cutoff",
+    ),
     "orbit and eye": (
         "  meshes: [path: 'builtin:box']\n  camera:\n    orbit: {azimuth: 3}\n    eye: [1, 2, 3]\n",
         "5: scene.camera.eye: is given together with orbit; expected one or the other; "
@@ -652,6 +659,30 @@ SCENES = {
 def test_fault_of_a_scene_is_reported_with_line_key_and_remedy(name):
     text, expected = SCENES[name]
     assert fault("scene:\n" + text) == f"file.yaml:{expected}"
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("shadow_map: {silhouettes: true}\n", "with silhouettes"),
+        (
+            "fit: {parameters: {scene.light.azimuth: {lower: 0, upper: 90}}}\nfilter: {type: bilinear}\n",
+            "in a fit of lights or meshes, with silhouettes",
+        ),
+        ("technique: {type: shadow_volumes}\n", "with shadow volumes"),
+    ],
+)
+def test_alpha_tests_are_reported_where_outlines_of_whole_faces_matter(text, why, tmp_path):
+    for name in ("tree.obj", "leaves.png"):
+        (tmp_path / name).touch()
+    file = tmp_path / "c.yaml"
+    file.write_text("scene:\n  meshes: [{path: tree.obj, texture: leaves.png, alpha_cutoff: 0.5}]\n" + text)
+    with pytest.raises(ConfigError) as caught:
+        load_config(file, fitting=True)
+    assert str(caught.value).startswith(
+        f"{file}:2: scene.meshes.0.alpha_cutoff: is 0.5 {why}, whose outlines are those of whole faces; expected "
+        "meshes without an alpha test; remove it, or "
+    )
 
 
 def test_missing_mesh_file_names_the_nearest(tmp_path):

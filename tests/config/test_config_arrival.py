@@ -62,6 +62,8 @@ OF_SEVERAL = {
         "scale",
         "crease_angle",
         "normals",
+        "texture",
+        "alpha_cutoff",
     ),
     *("factors", "terms", "network", "plane", "attenuation", "distances", "shares"),
     *("parameters", "solver", "anneal", "shape", "views", "validation", "loss", "prefer", "blurs", "multistart"),

@@ -5,6 +5,7 @@ import sys
 from types import SimpleNamespace
 
 import numpy as np
+import PIL.Image
 import pytest
 import trimesh
 
@@ -60,7 +61,31 @@ def test_materials_and_vertices_colour_faces():
     np.testing.assert_allclose(Mesh.from_trimesh(box).albedo, np.tile([1.0, 0.2, 0.0], (12, 1)), atol=1e-6)
     box = trimesh.creation.box()
     box.visual.vertex_colors = np.tile([0, 255, 51, 255], (8, 1))
-    np.testing.assert_allclose(Mesh.from_trimesh(box).albedo, np.tile([0.0, 1.0, 0.2], (12, 1)), atol=1e-6)
+    mesh = Mesh.from_trimesh(box)
+    np.testing.assert_allclose(mesh.corner_colours, np.tile([0.0, 1.0, 0.2], (12, 3, 1)), atol=1e-6)
+    np.testing.assert_array_equal(mesh.albedo, 1)
+
+
+def test_a_texture_comes_with_its_factor_and_its_alpha_test():
+    levels = np.array([[[188, 0, 0, 255], [0, 188, 0, 51]], [[0, 0, 188, 255], [255, 255, 255, 0]]], np.uint8)
+    image, uv = PIL.Image.fromarray(levels), np.random.default_rng(0).uniform(size=(8, 2))
+    box = trimesh.creation.box()
+    box.visual = trimesh.visual.TextureVisuals(uv=uv, image=image)
+    mesh = Mesh.from_trimesh(box)
+    np.testing.assert_array_equal(mesh.albedo, 1)
+    np.testing.assert_allclose(mesh.textures.uv, uv[np.asarray(box.faces)], atol=1e-6)
+    # The image's last row is its bottom row; half of the light is 188 of 255.
+    expected = [[0, 0, 0.5, 1], [1, 1, 1, 0], [0.5, 0, 0, 1], [0, 0.5, 0, 0.2]]
+    np.testing.assert_allclose(mesh.textures.texels, expected, atol=0.005)
+    assert mesh.alpha_test is None
+    material = trimesh.visual.material.PBRMaterial(
+        baseColorTexture=image, baseColorFactor=[255, 51, 0, 128], alphaMode="MASK", alphaCutoff=0.3
+    )
+    box.visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
+    mesh = Mesh.from_trimesh(box)
+    np.testing.assert_allclose(mesh.albedo[0], [1, 0.2, 0], atol=1e-6)
+    # The factor's alpha, which has 8 bits, times the texel's is compared with the cutoff.
+    np.testing.assert_allclose(mesh.textures.cutoff, 0.6, rtol=0.01)
 
 
 def test_split_vertices_are_welded_and_own_normals_are_taken_if_asked_for():

@@ -1,6 +1,6 @@
 """Places the meshes of a configuration in the world."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -16,12 +16,14 @@ Triple = tuple[float, float, float]
 
 class Placed(NamedTuple):
     """The arrays of a mesh, placed in the world: vertices (v, 3) in double precision, faces, the normals of their
-    corners, and albedo."""
+    corners, albedo, and colours of corners and textures, if it has any."""
 
     vertices: Float[HostArray, "v 3"]
     faces: Faces
     corner_normals: Float[HostArray, "f 3 3"]
-    albedo: Float[HostArray, "3"]
+    albedo: Float[HostArray, "*f 3"]
+    corner_colours: Any = None
+    textures: geometry.Textures | None = None
 
     def counted_from(self, origin: geometry.Origin) -> geometry.Mesh:
         """The mesh with its coordinates counted from `origin`, which single precision can then hold."""
@@ -47,17 +49,20 @@ def place_mesh(config: MeshConfig) -> Placed:
     # In NumPy: nothing is compiled.
     with jax.enable_x64(True):
         if config.builtin is not None:
-            mesh = geometry.library_mesh(config.builtin, **config.options)
+            mesh, albedo = geometry.library_mesh(config.builtin, **config.options), config.albedo
         else:
-            mesh = io.load_mesh(config.path, config.crease_angle if config.normals == "creases" else None)
+            crease_angle = config.crease_angle if config.normals == "creases" else None
+            looks = {"albedo": config.albedo, "texture": config.texture, "alpha_cutoff": config.alpha_cutoff}
+            mesh = io.load_mesh(config.path, crease_angle, **looks)
+            albedo = mesh.albedo
         if config.size is not None:
             mesh = geometry.fit_to_size(mesh, config.size)
         if config.drop_to_ground:
             mesh = geometry.drop_to_ground(mesh)
-        return _placed(mesh, config.scale, config.rotate, config.translate, config.albedo)
+        return _placed(mesh, config.scale, config.rotate, config.translate, albedo)
 
 
-def _placed(mesh: geometry.Mesh, scale: float, rotate: Triple, translate: Triple, albedo: Triple) -> Placed:
+def _placed(mesh: geometry.Mesh, scale: float, rotate: Triple, translate: Triple, albedo: Any) -> Placed:
     """The mesh scaled, then rotated about x, y and z in this order by `rotate` degrees, then translated.
 
     It equals `Mesh.transformed`, in NumPy and in double precision: a program would be compiled for every size of mesh.
@@ -80,4 +85,4 @@ def _placed(mesh: geometry.Mesh, scale: float, rotate: Triple, translate: Triple
     normals = np.asarray(mesh.corner_normals, np.float64) @ turn.T
     length = np.linalg.norm(normals, axis=-1, keepdims=True)
     normals = (normals / np.where(length > 0, length, 1)).astype(np.float32)
-    return Placed(vertices, mesh.faces, normals, np.asarray(albedo))
+    return Placed(vertices, mesh.faces, normals, np.asarray(albedo), mesh.corner_colours, mesh.textures)

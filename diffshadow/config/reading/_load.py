@@ -256,6 +256,9 @@ def _file_keys(data: dict[str, Any]) -> Iterator[tuple[KeyPath, Any]]:
         file = mesh.get("path") if isinstance(mesh, dict) else None
         if isinstance(file, str) and file and not file.startswith(BUILTIN):
             yield (*path, "path"), mesh
+        texture = mesh.get("texture") if isinstance(mesh, dict) else None
+        if isinstance(texture, str) and texture:
+            yield (*path, "texture"), mesh
     if isinstance(reference, dict):
         given = [key for key in ("path", "mask") if reference.get(key) and isinstance(reference[key], str)]
         yield from ((("reference", key), reference) for key in given)

@@ -301,6 +301,12 @@ def _id_of(config: Config, settings: SweepConfig) -> str:
     for mesh, section in zip(data["scene"]["meshes"], config.scene.meshes, strict=True):
         if section.builtin is None:
             mesh["path"] = _content_of(section.path)
+        # Without one, as before there were textures.
+        for key in ("texture", "alpha_cutoff"):
+            if mesh[key] is None:
+                del mesh[key]
+        if section.texture is not None:
+            mesh["texture"] = _content_of(section.texture)
     for key in ("path", "mask"):
         if file := getattr(config.reference, key, None):
             data["reference"][key] = _content_of(file)

@@ -144,7 +144,8 @@ def _files(value: Any, path: KeyPath) -> Iterator[tuple[Any, Any, KeyPath]]:
         here = (*path, key)
         if isinstance(inner, str):
             names = [str(step) for step in here if not isinstance(step, int)]
-            if inner and not inner.startswith(BUILTIN) and names[-1] != LABEL and names[-1].split(".")[-1] == "path":
+            is_file = names[-1] != LABEL and names[-1].split(".")[-1] in ("path", "texture")
+            if inner and is_file and not inner.startswith(BUILTIN):
                 yield value, key, here
         else:
             yield from _files(inner, here)

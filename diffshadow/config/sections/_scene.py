@@ -39,7 +39,18 @@ class MeshConfig(Section):
     normals: Annotated[
         Literal["creases", "file"], "normals by crease_angle, or a mesh file's normals of vertices (PLY, glTF)"
     ] = "creases"
-    albedo: Annotated[Colour, "diffuse colour, each component in [0, 1]"] = (0.8, 0.8, 0.8)
+    albedo: Annotated[
+        Colour, "diffuse colour, each component in [0, 1], times the colours and textures of a mesh file"
+    ] = (0.8, 0.8, 0.8)
+    texture: str | None = Field(
+        default=None,
+        min_length=1,
+        description="an image file, in sRGB, relative like path; default: the textures of a GLB or glTF file",
+    )
+    alpha_cutoff: Annotated[
+        Annotated[float, Limits(0, 1)] | None,
+        "alpha of the texture below which the mesh is cut out, 0 for none of it; default: as a GLB or glTF file says",
+    ] = None
     casts: Annotated[
         bool, "whether it casts shadows, or only receives them; reference.blockers can let it block rays"
     ] = True
@@ -63,6 +74,9 @@ class MeshConfig(Section):
         if not path.startswith(BUILTIN) and options:
             what = fault("are given with a mesh file", "options with a builtin mesh only", "remove the options")
             yield ("options",), what
+        for key in ("texture", "alpha_cutoff"):
+            if path.startswith(BUILTIN) and data.get(key) is not None:
+                yield (key,), fault("is given with a builtin mesh", "a mesh file, which may have UV", f"remove {key}")
         if path.startswith(BUILTIN) and data.get("normals") == "file":
             yield ("normals",), fault("is file with a builtin mesh", "creases", "remove it")
 

@@ -16,6 +16,7 @@ from ...settings.techniques import (
     PerspectiveWarp,
     ProjectiveShadow,
     ResolutionMatched,
+    ShadowVolumes,
 )
 from .._errors import KeyPath, dotted
 from ..sections._fitted import is_searched, parameter_faults
@@ -35,6 +36,8 @@ def run_faults(config: Parts) -> Iterator[Conflict]:
         yield from _beyond_gutters(config, {})
         if config.shadow_map.silhouettes:
             yield from _silhouettes_of_others(config, "with silhouettes")
+    if isinstance(config.technique, ShadowVolumes):
+        yield from _cut_out(config, "with shadow volumes", "choose another technique")
     if isinstance(config.technique, Mapped) and config.bias.factors is not None:
         yield from _wrong_factors(config, config.technique)
     if isinstance(config.technique, FittedLayout):
@@ -241,6 +244,16 @@ def _silhouettes_of_others(config: Parts, why: str) -> Iterator[Conflict]:
         if value != plain:
             mend = "remove it, or set shadow_map.silhouettes to false"
             yield ("shadow_map", key), fault(f"is {value} {why}", plain, mend)
+    yield from _cut_out(config, why, "set shadow_map.silhouettes to false")
+
+
+def _cut_out(config: Parts, why: str, mend: str) -> Iterator[Conflict]:
+    """Faults of alpha tests where the outlines of casters matter."""
+    for i, mesh in enumerate(config.scene.meshes):
+        if mesh.alpha_cutoff:
+            message = f"is {mesh.alpha_cutoff:g} {why}, whose outlines are those of whole faces"
+            what = fault(message, "meshes without an alpha test", f"remove it, or {mend}")
+            yield ("scene", "meshes", i, "alpha_cutoff"), what
 
 
 def _wide_blurs(config: Parts) -> Iterator[Conflict]:

@@ -17,6 +17,7 @@ from ..._types import HostArray
 from .._errors import Faults, damaged
 from .._gltf import HIDDEN_MESH, nodes_of, parts_of
 from .._gltf_data import Buffers, chunks, item
+from .._gltf_materials import BaseColour
 from .._gltf_schema import (
     EXTRAS,
     LIGHTS,
@@ -30,6 +31,7 @@ from .._gltf_schema import (
     Node,
     parse,
 )
+from .._looks import Texture
 from .._text import excerpt
 from ._parts import SceneCamera, SceneFile, SceneLight, SceneMesh, Vector
 
@@ -60,9 +62,10 @@ def read_gltf_scene(data: bytes, folder: Path) -> SceneFile:
         material = Material() if number is None else item(materials, number, "material")
         side = "double" if material.double_sided else "front"
         emits = any(material.emissive_factor) or UNLIT in material.extensions
-        mesh = SceneMesh(name, part.vertices, part.faces, part.normals, side, emits=emits)
+        mesh = SceneMesh(name, part.vertices, part.faces, part.normals, side, emits=emits, **_look(part.look))
         meshes.append(mesh._replace(**_shadows(part.node)))
-        remarks += [f"{name}: {remark}" for remark in _remarks(material, has_normals=part.normals is not None)]
+        has = part.normals is not None, part.look.picture is not None
+        remarks += [f"{name}: {remark}" for remark in _remarks(material, *has)]
     fault = faults.error()
     if fault is not None and not meshes:
         raise fault
@@ -85,10 +88,20 @@ def _shadows(node: Node) -> dict[str, bool]:
     return {name: given[name] for name in ("casts", "receives") if isinstance(given.get(name), bool)}
 
 
-def _remarks(material: Material, has_normals: bool) -> Iterator[str]:
+def _look(look: BaseColour) -> dict[str, Any]:
+    """The colours and the texture of a mesh."""
+    found: dict[str, Any] = {"colours": look.colours}
+    if look.factor is not None:
+        found["colour"] = _vector(look.factor)
+    if look.picture is not None:
+        found |= {"uv": look.uv, "texture": Texture(look.picture, look.cutoff)}
+    return found
+
+
+def _remarks(material: Material, has_normals: bool, has_texture: bool) -> Iterator[str]:
     """What of a mesh is otherwise here."""
-    if material.alpha_mode == "MASK":
-        yield "its alpha test is left out; the whole surface casts"
+    if material.alpha_mode == "MASK" and not has_texture:
+        yield "its alpha test is left out, since it has no texture that can be read; the whole surface casts"
     transmission = material.extensions.get(TRANSMISSION)
     if material.alpha_mode == "BLEND" or (isinstance(transmission, dict) and transmission.get("transmissionFactor")):
         yield "it is transparent, and opaque here; in shadow maps it is opaque in three.js, too"

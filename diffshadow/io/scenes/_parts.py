@@ -7,6 +7,7 @@ from jaxtyping import Float, Int
 from ..._types import HostArray
 from ...settings.engines import Side, ThreeJs
 from ...settings.scene import LightKind, ShadowCamera, SpotLight
+from .._looks import Texture
 
 Vector = tuple[float, float, float]
 
@@ -21,6 +22,8 @@ class SceneMesh(NamedTuple):
     - `layers`: bits of the layers it is in.
     - `colour`: diffuse, each component in [0, 1].
     - `emits`: whether its material shines, or is drawn as if it did.
+    - `colours`: (v, 3), linear, of the vertices; none if they have none.
+    - `uv`, `texture`: (v, 2), texture coordinates, and the texture that `colour` is multiplied by; or none.
     """
 
     name: str
@@ -34,6 +37,9 @@ class SceneMesh(NamedTuple):
     layers: int = 1
     colour: Vector = (0.8, 0.8, 0.8)
     emits: bool = False
+    colours: Float[HostArray, "v 3"] | None = None
+    uv: Float[HostArray, "v 2"] | None = None
+    texture: Texture | None = None
 
 
 class SceneCamera(NamedTuple):

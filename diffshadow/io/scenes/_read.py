@@ -73,6 +73,8 @@ def _of_mesh(file: Path) -> SceneFile:
         remarks.append("z is taken as up, since the mesh lies flat across z; it is turned so that y is")
         corners, normals = y_up(corners), y_up(normals)
     parts = SceneMesh(file.stem, corners.reshape(-1, 3), np.arange(faces.size).reshape(-1, 3), normals.reshape(-1, 3))
+    if mesh.corner_colours is not None:
+        parts = parts._replace(colours=np.asarray(mesh.corner_colours, np.float64).reshape(-1, 3))
     return SceneFile([parts], [], [], None, remarks)
 
 

@@ -197,7 +197,7 @@ def shrunk(mesh: Mesh, light: AbstractLight, normal_bias: Scalar) -> Mesh:
     sine = jnp.sqrt(jnp.maximum(1 - cosine * cosine, 0))
     moved = vertices - normals * (normal_bias * sine)[:, None]
     faces = jnp.arange(len(vertices)).reshape(-1, 3)
-    return Mesh(moved, faces, mesh.corner_normals, mesh.albedo)
+    return Mesh(moved, faces, mesh.corner_normals, mesh.albedo, mesh.corner_colours, mesh.textures)
 
 
 @eqx.filter_jit

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..._arithmetic import as_array, as_float
 from ..._types import HostArray, Resolution, Scalar
-from ...geometry import AbstractLight, Mesh, PointLight, Scene, View, merge, perspective
+from ...geometry import AbstractLight, Mesh, PointLight, Scene, Textures, View, merge, perspective
 from ...raster import Surface, at_steps, rasterize_depth
 from ...settings.engines import Side
 
@@ -52,21 +52,28 @@ class EngineMap(eqx.Module):
 
 
 class Casters(NamedTuple):
-    """The triangles that an engine draws into a map: `vertices` (v, 3) and `faces` (f, 3), all to be seen in front."""
+    """The triangles that an engine draws into a map: `vertices` (v, 3) and `faces` (f, 3), all to be seen in front, and
+    the textures that cut them out, if any."""
 
     vertices: Float[Array, "v 3"]
     faces: Int[Array, "f 3"]
+    alpha_test: Textures | None = None
 
     @classmethod
     def of(cls, meshes: Sequence[Mesh], sides: Sequence[Side]) -> "Casters":
         """Those faces of each of `meshes` that its entry of `sides` names."""
         whole = merge(meshes).padded()
-        faces = np.asarray(merge(meshes).faces)
+        mesh = merge(meshes)
+        faces = np.asarray(mesh.faces)
         side = np.repeat(sides, [mesh.faces.shape[0] for mesh in meshes])
         # A back face becomes a front face if its corners go the other way round.
         drawn = np.concatenate([faces[side != "back"], faces[side != "front"][:, ::-1]])
         padding = np.zeros((-len(drawn) % len(whole.faces), 3), faces.dtype)
-        return cls(whole.vertices, as_array(np.concatenate([drawn, padding])))
+        alpha_test = mesh.alpha_test
+        if alpha_test is not None:
+            turned = alpha_test.for_faces(side != "front").turned()
+            alpha_test = alpha_test.for_faces(side != "back").followed_by(turned).padded(len(drawn) + len(padding))
+        return cls(whole.vertices, as_array(np.concatenate([drawn, padding])), alpha_test)
 
 
 def each_of(values: Any, meshes: Sequence[Mesh], what: str) -> tuple[Any, ...]:
@@ -117,8 +124,10 @@ def map_of(
     push = as_float(push)
     clip = _snapped(view, casters.vertices, resolution, subpixels, flip, push)
     # In a mirror, corners go the other way round.
-    faces = casters.faces[:, ::-1] if is_mirrored else casters.faces
-    depth = rasterize_depth(clip, faces, resolution, cull="back")
+    faces, alpha_test = casters.faces, casters.alpha_test
+    if is_mirrored:
+        faces, alpha_test = faces[:, ::-1], None if alpha_test is None else alpha_test.turned()
+    depth = rasterize_depth(clip, faces, resolution, cull="back", alpha_test=alpha_test)
     return _without_push(depth, push)
 
 

@@ -73,10 +73,11 @@ def import_scene(
     if scene.engine is None:
         chosen = _with_lamp(chosen, remarks)
     files = _file_names(chosen)
+    textures = _texture_names(chosen, files)
     # Far from the world's origin, files keep the shape of meshes, and the configuration their places.
     origins = [geometry.origin_of(mesh.vertices) for mesh in chosen.meshes]
     remarks += [f"{mesh.name} {coarse}" for mesh in chosen.meshes if (coarse := io.coarse_steps(mesh.vertices))]
-    settings = settings_of(chosen, files, origins, scene.engine is not None, technique, shadow_type, remarks)
+    settings = settings_of(chosen, files, textures, origins, scene.engine is not None, technique, shadow_type, remarks)
     if technique == "three.js" and scene.engine is None:
         remarks.append("the file has no settings of shadows: bias, radius, map size and sides are three.js' defaults")
     if technique == "three.js":
@@ -87,7 +88,12 @@ def import_scene(
         mesh._replace(vertices=mesh.vertices - np.asarray(origin))
         for mesh, origin in zip(chosen.meshes, origins, strict=True)
     ]
-    _write(folder, written.name, text, dict(zip(files, near, strict=True)))
+    pictures = {
+        name: mesh.texture.picture
+        for name, mesh in zip(textures, chosen.meshes, strict=True)
+        if name is not None and mesh.texture is not None
+    }
+    _write(folder, written.name, text, dict(zip(files, near, strict=True)), pictures)
     _say(console, chosen, remarks)
     return written
 
@@ -112,8 +118,10 @@ def _check(text: str, file: Path, folder: Path) -> None:
         ) from error
 
 
-def _write(folder: Path, name: str, text: str, meshes: Mapping[str, io.SceneMesh]) -> None:
-    """Writes the configuration and its meshes, or nothing.
+def _write(
+    folder: Path, name: str, text: str, meshes: Mapping[str, io.SceneMesh], pictures: Mapping[str, io.Picture]
+) -> None:
+    """Writes the configuration, its meshes and their textures, or nothing.
 
     **Raises** `FileError` if that is not possible.
     """
@@ -123,11 +131,13 @@ def _write(folder: Path, name: str, text: str, meshes: Mapping[str, io.SceneMesh
     try:
         (draft / _MESHES).mkdir(parents=True)
         for of, mesh in meshes.items():
-            io.write_ply(draft / of, mesh.vertices, mesh.faces, mesh.normals)
+            io.write_ply(draft / of, mesh.vertices, mesh.faces, mesh.normals, mesh.colours, mesh.uv)
+        for of, picture in pictures.items():
+            (draft / of).write_bytes(io.png_of(picture.levels))
         (draft / name).write_text(text, encoding="utf-8")
         (folder / _MESHES).mkdir(exist_ok=True)
         # The configuration comes last, since it says that all is there.
-        for each in (*meshes, name):
+        for each in (*meshes, *pictures, name):
             os.replace(draft / each, folder / each)
     except OSError as error:
         raise io.FileError(f"cannot write to {folder.absolute()}: {error.strerror or error}") from error
@@ -149,6 +159,16 @@ def _file_names(chosen: Chosen) -> list[str]:
             name, count = f"{plain}_{count}", count + 1
         names.append(name)
     return [f"{_MESHES}/{name}.ply" for name in names]
+
+
+def _texture_names(chosen: Chosen, files: Sequence[str]) -> list[str | None]:
+    """A file for each mesh's texture, named like the first mesh that has it; none for a mesh without one."""
+    names: dict[int, str] = {}
+    textures = [mesh.texture for mesh in chosen.meshes]
+    return [
+        None if texture is None else names.setdefault(id(texture.picture), file.removesuffix(".ply") + ".png")
+        for texture, file in zip(textures, files, strict=True)
+    ]
 
 
 def _plain_name(name: str) -> str:

@@ -95,13 +95,15 @@ def _named[T: (io.SceneCamera, io.SceneLight)](
 def settings_of(
     chosen: Chosen,
     files: Sequence[str],
+    textures: Sequence[str | None],
     origins: Sequence[geometry.Origin],
     engine: bool,
     technique: ImportedTechnique,
     shadow_type: ShadowType,
     remarks: list[str],
 ) -> dict[str, Any]:
-    """The configuration of `chosen`, with meshes in `files`. Adds to `remarks` what is otherwise than in the scene.
+    """The configuration of `chosen`, with meshes in `files` and their `textures`. Adds to `remarks` what is
+    otherwise than in the scene.
 
     **Arguments:**
 
@@ -116,7 +118,7 @@ def settings_of(
     distance = distance_lit(meshes, np.asarray(light.position))
     settings: dict[str, Any] = {
         "scene": {
-            "meshes": [_mesh(*each) for each in zip(meshes, files, origins, strict=True)],
+            "meshes": [_mesh(*each) for each in zip(meshes, files, textures, origins, strict=True)],
             "camera": _camera(camera, middle, diagonal, remarks),
             "light": _light(chosen, shadow, middle, diagonal, remarks),
         }
@@ -145,13 +147,17 @@ def settings_of(
     return settings
 
 
-def _mesh(mesh: io.SceneMesh, file: str, origin: geometry.Origin) -> dict[str, Any]:
+def _mesh(mesh: io.SceneMesh, file: str, texture: str | None, origin: geometry.Origin) -> dict[str, Any]:
     settings: dict[str, Any] = {"path": file, "normals": "file" if mesh.normals is not None else "creases"}
     if origin != geometry.WORLD:
         settings["translate"] = [*origin]
     if mesh.normals is None:
         settings["crease_angle"] = 0
     settings["albedo"] = _rounded(mesh.colour, 4)
+    if texture is not None and mesh.texture is not None:
+        settings["texture"] = texture
+        if mesh.texture.cutoff is not None:
+            settings["alpha_cutoff"] = _rounded([min(mesh.texture.cutoff, 1.0)], 4)[0]
     return settings | ({} if mesh.casts else {"casts": False}) | ({} if mesh.receives else {"receives": False})
 
 

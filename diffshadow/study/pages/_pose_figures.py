@@ -14,7 +14,7 @@ from matplotlib.collections import PolyCollection
 from ... import fit
 from ..._types import HostArray
 from ...config import FitPlan
-from ...geometry import AbstractLight, Mesh, Scene
+from ...geometry import AbstractLight, Mesh, Scene, face_colours
 from .. import style
 
 Track = Float[HostArray, "n 3"]
@@ -98,7 +98,7 @@ def _places(
 
 def _scene(axes: Axes, meshes: Sequence[Mesh], across: int, up: int) -> None:
     corners = np.concatenate([np.asarray(mesh.vertices)[np.asarray(mesh.faces)] for mesh in meshes])
-    colours = np.concatenate([np.asarray(mesh.albedo) for mesh in meshes])
+    colours = np.concatenate([face_colours(mesh) for mesh in meshes])
     # Draw back to front.
     order = np.argsort(corners.mean(axis=1)[:, 3 - across - up])
     faces = corners[order][:, :, [across, up]]

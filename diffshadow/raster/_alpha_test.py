@@ -1,0 +1,107 @@
+"""The alpha test: which pixels of a triangle its texture cuts out, as by `discard` in a fragment shader.
+
+Texture coordinates are perspective-correct: with the corners' (x, y, w) as the columns of M, their weights at the point
+(X, Y) of the view are M⁻¹ (X, Y, 1) up to a factor (2D homogeneous rasterization, Olano & Greer 1997). So triangles
+that reach behind the eye need no clipping here. The alpha between texels is bilinear, and there are no mipmaps.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from .._arithmetic import safe_divide, take
+from .._types import ClipVertices, Faces, Viewport
+from ..geometry import Textures, bilinear
+
+
+class Cutouts(NamedTuple):
+    """What an alpha test reads of textures: the `alpha` of all texels (n, 1), and `table` and `cutoff` as there."""
+
+    alpha: Float[Array, "n 1"]
+    table: Int[Array, "t 3"]
+    cutoff: Float[Array, " t"]
+
+    @classmethod
+    def of(cls, textures: Textures) -> "Cutouts":
+        """Of textures with cutoffs."""
+        assert textures.cutoff is not None
+        return cls(textures.texels[:, 3:], textures.table, textures.cutoff)
+
+    def passes(self, index: Int[Array, "*m"], uv: Float[Array, "*m 2"]) -> Bool[Array, "*m"]:
+        """Whether points with these textures and texture coordinates are not cut out."""
+        alpha = bilinear(self.alpha, self.table, index, uv)[..., 0]
+        return (index < 0) | (alpha >= take(self.cutoff, jnp.maximum(index, 0)))
+
+
+class AlphaForm(NamedTuple):
+    """Texture coordinates of triangles about the pixel of each one's first corner, (n,) each.
+
+    At `i` pixels to the right and `j` above that pixel, the coordinates are `u / w` and `v / w`, where each of the
+    three is its first number, plus `i` times its second, plus `j` times its third. A window begins `x` to the right and
+    `y` above. So a pixel has the same coordinates whatever part of an image it is drawn with.
+    """
+
+    u: list[Float[Array, " n"]]
+    v: list[Float[Array, " n"]]
+    w: list[Float[Array, " n"]]
+    x: Int[Array, " n"]
+    y: Int[Array, " n"]
+    texture: Int[Array, " n"]
+
+
+class AlphaTest:
+    """Tests the pixels of triangles against their textures' cutoffs.
+
+    **Arguments:**
+
+    - `textures`: of the faces, with cutoffs.
+    - `clip`, `faces`, `resolution`: of the whole image, as for `rasterize`.
+    """
+
+    def __init__(self, textures: Textures, clip: ClipVertices, faces: Faces, resolution: Viewport):
+        self.clip, self.faces, self.resolution = clip, faces, resolution
+        self.index, self.cutouts = textures.index, Cutouts.of(textures)
+        # Less the whole repetitions of the first corner, which keeps the digits.
+        self.uv = textures.uv - jnp.floor(textures.uv[:, :1])
+
+    def form(self, face: Int[Array, " n"], x: Int[Array, " n"], y: Int[Array, " n"]) -> AlphaForm:
+        """The texture coordinates of faces in windows that begin at the pixels (`x`, `y`) of the image."""
+        corners, uv = take(self.clip, take(self.faces, face)), take(self.uv, face)
+        # In single precision, whatever is the default.
+        height, width = (jnp.asarray(size, jnp.float32) for size in self.resolution)
+        centre = lambda pixel, size: (pixel.astype(jnp.float32) + 0.5) * (2 / size) - 1
+        w = [corners[:, k, 3] for k in range(3)]
+        first_x, first_y = (self._pixel(corners[:, 0, axis], w[0], size) for axis, size in enumerate((width, height)))
+        xs, ys = (
+            [corners[:, k, axis] - at * w[k] for k in range(3)]
+            for axis, at in enumerate((centre(first_x, width), centre(first_y, height)))
+        )
+        pairs = ((1, 2), (2, 0), (0, 1))
+        along_x, along_y, here = (
+            [a[i] * b[j] - a[j] * b[i] for i, j in pairs] for a, b in ((ys, w), (w, xs), (xs, ys))
+        )
+        rows = here, [each * (2 / width) for each in along_x], [each * (2 / height) for each in along_y]
+        total = lambda values: [_sum_of(row, values) for row in rows]
+        ones = [jnp.ones_like(values) for values in w]
+        u, v = ([uv[:, k, axis] for k in range(3)] for axis in range(2))
+        return AlphaForm(total(u), total(v), total(ones), x - first_x, y - first_y, take(self.index, face))
+
+    @staticmethod
+    def _pixel(at: Float[Array, " n"], w: Float[Array, " n"], size: Float[Array, ""]) -> Int[Array, " n"]:
+        """The pixel of a clip coordinate, or the one nearest to it in the image; any for a corner behind the eye."""
+        place = (safe_divide(at, jnp.maximum(w, 0)) * 0.5 + 0.5) * size
+        return jnp.clip(place, 0, size - 1).astype(jnp.int32)
+
+    def passes(self, form: AlphaForm, side: int) -> Bool[Array, "n side side"]:
+        """Which of the `side` x `side` pixels from each triangle's own are not cut out."""
+        i = jnp.arange(side, dtype=jnp.int32)
+        each = lambda values: values[:, None, None]
+        x, y = (each(form.x) + i).astype(jnp.float32), (each(form.y) + i[:, None]).astype(jnp.float32)
+        u, v, w = (each(first) + each(right) * x + each(up) * y for first, right, up in form[:3])
+        uv = jnp.stack([safe_divide(u, w), safe_divide(v, w)], axis=-1)
+        return self.cutouts.passes(jnp.broadcast_to(each(form.texture), u.shape), uv)
+
+
+def _sum_of(weights: list[Array], values: list[Array]) -> Any:
+    return weights[0] * values[0] + weights[1] * values[1] + weights[2] * values[2]

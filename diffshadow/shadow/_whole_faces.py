@@ -1,0 +1,15 @@
+"""Techniques that need whole faces, which no alpha test cuts."""
+
+from ..geometry import Mesh
+
+
+def check_whole_faces(casters: Mesh, what: str, mend: str) -> None:
+    """**Raises** `ValueError` if an alpha test cuts out parts of `casters`.
+
+    **Arguments:** `what`: what uses the outlines of whole faces, in the plural; `mend`: how to do without.
+    """
+    if casters.alpha_test is not None:
+        raise ValueError(
+            f"a mesh has an alpha test (alpha_cutoff), and {what} know the outlines of whole faces only, not what it "
+            f"cuts out; expected meshes without one: {mend}, or set alpha_cutoff to 0"
+        )

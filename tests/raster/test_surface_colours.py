@@ -1,0 +1,194 @@
+"""Colours of corners and textures on surfaces: values in closed form, gradients against differences, creases."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scenes import quad
+
+from diffshadow.geometry import (
+    NO_TEXTURE,
+    Edges,
+    Mesh,
+    PinholeCamera,
+    Textures,
+    face_colours,
+    merge,
+    scaling,
+)
+from diffshadow.raster import draw_antialiased, draw_surface
+from diffshadow.raster._boundaries import find_creases
+from diffshadow.raster._surface import surface_at_centres
+
+RESOLUTION = (24, 32)
+CAMERA = PinholeCamera((0.7, 0.5, 2.2), (0, 0, 0), near=0.5, far=5.0, resolution=RESOLUTION)
+REPEATS = (3.0, 2.0)
+RANDOM = np.random.default_rng(1)
+IMAGE = RANDOM.uniform(0, 1, (5, 8, 4))
+COLOURS = RANDOM.uniform(0, 1, (2, 3, 3))
+
+
+def textured(**given):
+    """A square from -1 to 1 in x and y, whose texture repeats."""
+    card = quad((0, 0, 0), (1, 0, 0), (0, 1, 0))
+    corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) * REPEATS
+    textures = Textures.of(IMAGE, corners[np.asarray(card.faces)])
+    return Mesh(card.vertices, card.faces, card.corner_normals, textures=textures, **given)
+
+
+def sampled(image, u, v):
+    """An image that repeats at (u, v), by the four texels around: a sum over hat functions of all texels."""
+    height, width = image.shape[:2]
+
+    def hats(coordinate, size):
+        away = (coordinate[..., None] * size - 0.5 - np.arange(size) + size / 2) % size - size / 2
+        return np.maximum(1 - np.abs(away), 0)
+
+    return np.einsum("...j,...i,jic->...c", hats(v, height), hats(u, width), image)
+
+
+def test_a_texture_is_read_between_its_texels_and_repeats():
+    surface = draw_surface(textured(albedo=0.5), CAMERA)
+    x, y, _ = np.moveaxis(np.asarray(surface.position, np.float64), -1, 0)
+    expected = sampled(IMAGE, (x + 1) / 2 * REPEATS[0], (y + 1) / 2 * REPEATS[1])[..., :3]
+    mask = np.asarray(surface.mask)
+    assert mask.mean() > 0.5
+    np.testing.assert_allclose(np.asarray(surface.albedo)[mask], 0.5 * expected[mask], atol=1e-5)
+
+
+def test_a_mesh_with_colours_is_white_and_one_without_is_light_grey():
+    card = quad((0, 0, 0), (1, 0, 0), (0, 1, 0))
+    np.testing.assert_array_equal(textured().albedo, 1)
+    np.testing.assert_array_equal(Mesh(card.vertices, card.faces, corner_colours=COLOURS).albedo, 1)
+    np.testing.assert_allclose(card.albedo, 0.8)
+
+
+@eqx.filter_jit
+def _albedo(mesh, surface_face):
+    """The albedo where the faces are known, so that only their attributes are differentiated."""
+    view = CAMERA.view()
+    return surface_at_centres(mesh, CAMERA.eye, view, surface_face, view.clip_vertices(mesh.vertices)).albedo
+
+
+def test_albedo_has_the_derivatives_of_differences_by_texels_colours_and_coordinates():
+    face = draw_surface(textured(), CAMERA).face
+    with jax.enable_x64(True):
+        mesh = textured(corner_colours=COLOURS, albedo=0.7)
+        parts = lambda one: (one.textures.texels, one.corner_colours, one.textures.uv, one.albedo)
+        weights = np.random.default_rng(2).normal(size=(*RESOLUTION, 3))
+
+        @jax.jit
+        def loss(values):
+            return jnp.sum(weights * _albedo(eqx.tree_at(parts, mesh, values), face))
+
+        values = tuple(jnp.asarray(part, jnp.float64) for part in parts(mesh))
+        gradients = jax.jit(jax.grad(loss))(values)
+        for number, gradient in enumerate(gradients):
+            towards = jnp.asarray(np.random.default_rng(number).normal(size=gradient.shape))
+            step = 1e-7
+            behind, ahead = (
+                loss((*values[:number], values[number] + by * towards, *values[number + 1 :])) for by in (-step, step)
+            )
+            difference = (ahead - behind) / (2 * step)
+            slope = jnp.sum(gradient * towards)
+            assert abs(slope) > 1e-2
+            np.testing.assert_allclose(slope, difference, rtol=1e-5)
+
+
+def test_merged_meshes_keep_their_textures_and_padding_adds_none():
+    small = dataclasses.replace(textured(), textures=Textures.of(IMAGE[:2, :3], textured().textures.uv, cutoff=0.5))
+    plain = quad((0, 0, 1), (1, 0, 0), (0, 1, 0))
+    whole = merge([textured(), plain, small])
+    uv = RANDOM.uniform(-2, 2, (6, 2)).astype(np.float32)
+    for mesh in (whole, whole.padded()):
+        textures = mesh.textures
+        np.testing.assert_array_equal(np.asarray(textures.index)[:6], [0, 0, NO_TEXTURE, NO_TEXTURE, 1, 1])
+        assert (np.asarray(textures.index)[6:] == NO_TEXTURE).all()
+        np.testing.assert_array_equal(np.asarray(textures.cutoff)[:2], [0, 0.5])
+        found = np.asarray(textures.at(jnp.asarray(textures.index[:6]), jnp.asarray(uv)))
+        expected = [sampled(IMAGE, *uv[:2].T), np.ones((2, 4)), sampled(IMAGE[:2, :3], *uv[4:].T)]
+        np.testing.assert_allclose(found, np.concatenate(expected), atol=1e-5)
+    np.testing.assert_array_equal(face_colours(whole)[2:4], plain.albedo)
+    colours = merge([plain, Mesh(plain.vertices, plain.faces, corner_colours=COLOURS)]).corner_colours
+    np.testing.assert_allclose(colours, np.concatenate([np.ones((2, 3, 3)), COLOURS]), rtol=1e-6)
+
+
+def test_a_mirror_keeps_colours_at_their_corners():
+    mesh = textured(corner_colours=COLOURS)
+    mirrored = mesh.transformed(scaling(jnp.array([1.0, 1.0, -1.0])))
+    for part in (lambda one: one.textures.uv, lambda one: one.corner_colours):
+        assert _by_corner(mirrored, part) == _by_corner(mesh, part)
+
+
+def _by_corner(mesh, part):
+    """What the corners of faces have, by face and place in x and y."""
+    faces, values = np.asarray(mesh.faces), np.asarray(part(mesh))
+    places = np.asarray(mesh.vertices)[faces][..., :2]
+    return {(face, *places[face, k]): tuple(values[face, k]) for face in range(len(faces)) for k in range(3)}
+
+
+def test_creases_are_where_textures_and_colours_end_and_not_where_they_continue():
+    def creases(mesh):
+        edges = Edges.of(mesh)
+        return int(np.sum(find_creases(mesh, edges)))
+
+    assert creases(textured()) == 0
+    uv = np.asarray(textured().textures.uv)
+    of = lambda mesh, **new: dataclasses.replace(mesh, textures=dataclasses.replace(mesh.textures, **new))
+    # A second face that is whole repetitions away shows the same.
+    assert creases(of(textured(), uv=uv + np.array([[[0, 0]], [[2, -1]]]))) == 0
+    assert creases(of(textured(), uv=uv + np.array([[[0, 0]], [[0.25, 0]]]))) == 1
+    assert creases(of(textured(), index=np.array([0, NO_TEXTURE]))) == 1
+    shared = np.array([[(1, 0, 0), (0, 1, 0), (0, 0, 1)], [(1, 0, 0), (0, 0, 1), (1, 1, 1)]], float)
+    assert creases(textured(corner_colours=shared)) == 0
+    assert creases(textured(corner_colours=shared[:, ::-1])) == 1
+
+
+@pytest.mark.exhaustive
+def test_an_antialiased_picture_has_no_line_where_the_alpha_test_cuts_out_the_rim():
+    """The rim of a card whose outer texels are cut out is no outline of the picture."""
+    alpha = np.zeros((8, 8))
+    alpha[2:-2, 2:-2] = 1
+    image = np.concatenate([np.ones((8, 8, 3)), alpha[..., None]], axis=-1)
+    mesh = textured()
+    uv = np.asarray(mesh.textures.uv) / np.array(REPEATS)
+    mesh = dataclasses.replace(mesh, textures=Textures.of(image, uv, cutoff=0.5))
+    seen = draw_antialiased(mesh, CAMERA)
+    picture = np.asarray(seen.resolve(seen.surface.albedo))
+    np.testing.assert_array_equal(picture, np.asarray(draw_surface(mesh, CAMERA).albedo))
+    # Whole, its rim is one.
+    whole = dataclasses.replace(mesh, textures=Textures.of(image, uv))
+    seen = draw_antialiased(whole, CAMERA)
+    assert (np.asarray(seen.resolve(seen.surface.albedo)) != np.asarray(seen.centres.albedo)).any()
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"texels": np.full((6, 4), 1.5)}, "a texel is"),
+        ({"uv": np.full((2, 3, 2), np.nan)}, "texture coordinates are NaN"),
+        ({"table": [(0, 3, 3)]}, "the textures' table"),
+        ({"index": [0, 1]}, "up to 0"),
+        ({"uv": np.zeros((1, 3, 2))}, "have shape"),
+    ],
+)
+def test_bad_textures_are_refused(given, message):
+    good = {"uv": np.zeros((2, 3, 2)), "index": [0, 0], "texels": np.ones((6, 4)), "table": [(0, 2, 3)]}
+    Textures(**good)
+    with pytest.raises(ValueError, match=message):
+        Textures(**good | given)
+    with pytest.raises(ValueError, match="the texture's image has shape"):
+        Textures.of(np.ones((2, 2)), good["uv"])
+
+
+def test_colours_for_other_faces_are_refused():
+    card = quad((0, 0, 0), (1, 0, 0), (0, 1, 0))
+    with pytest.raises(ValueError, match="textures are for 1 faces; expected 2"):
+        Mesh(card.vertices, card.faces, textures=Textures.of(IMAGE, np.zeros((1, 3, 2))))
+    with pytest.raises(ValueError, match="corner_colours have shape"):
+        Mesh(card.vertices, card.faces, corner_colours=np.ones((1, 3, 3)))
+    with pytest.raises(ValueError, match="corner_colours is"):
+        Mesh(card.vertices, card.faces, corner_colours=np.full((2, 3, 3), 1.5))
