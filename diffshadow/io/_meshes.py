@@ -13,9 +13,10 @@ from ..geometry import Mesh, crease_normals, step_of, weld
 from ..settings.scene import GLTF_SUFFIXES
 from ._errors import FileError, MeshError, MeshWarning, damaged
 from ._gltf import read_gltf
+from ._gltf_data import buffers_beside
 from ._obj import read_obj
 from ._off import read_off
-from ._paths import existing_file
+from ._paths import existing_file, on_disk
 from ._ply import read_ply
 from ._polygons import Polygons, triangulate
 from ._stl import read_stl
@@ -75,7 +76,7 @@ def load_mesh(path: str | os.PathLike[str], crease_angle: float | int | None = 3
     try:
         # NaN and infinite coordinates are checked after reading.
         with np.errstate(all="ignore"):
-            polygons = _reader(file)(file.read_bytes(), file.parent)
+            polygons = _reader(file)(on_disk(file).read_bytes(), file.parent)
         _check(polygons)
         triangles = triangulate(polygons)
         vertices, faces, kept = weld(polygons.vertices, triangles)
@@ -106,6 +107,18 @@ def load_mesh(path: str | os.PathLike[str], crease_angle: float | int | None = 3
     if crease_angle is not None:
         normals = crease_normals(vertices, faces, crease_angle)
     return Mesh(vertices, faces, normals)
+
+
+def files_of_mesh(path: str | os.PathLike[str]) -> list[Path]:
+    """The absolute paths of a mesh file and of the files beside it that it refers to, as far as there are such."""
+    file = Path(os.path.abspath(path))
+    if file.suffix.lower() not in GLTF_SUFFIXES:
+        return [file]
+    try:
+        return [file, *buffers_beside(on_disk(file).read_bytes(), file.parent)]
+    except (MeshError, OSError):
+        # The reader reports it.
+        return [file]
 
 
 def _reader(file: Path) -> Callable[[bytes, Path], Polygons]:

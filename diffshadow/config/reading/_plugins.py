@@ -23,8 +23,8 @@ from ..sections._section import Variants, value_at
 from ..sections._technique import TECHNIQUES
 from ..sections._views import LOSSES
 
-# What parts a module from a name in it.
-_COLON = ":"
+COLON = ":"
+"""What parts a module from a name in it."""
 
 
 class _Kind(NamedTuple):
@@ -62,7 +62,7 @@ def add_plugins(data: Mapping[str, Any], origin: Origin, folder: Path, *, needed
     mistakes = []
     for path in _KINDS:
         word = value_at(data, *path, "type")
-        if isinstance(word, str) and _COLON in word:
+        if isinstance(word, str) and COLON in word:
             try:
                 try:
                     _add(path, word, folder)
@@ -89,7 +89,7 @@ def _add_stand_in(path: tuple[str, ...], word: str, folder: Path, section: Mappi
     """Adds a section with the keys and the types of values of `section`."""
     plain = {str(key): tuple(value) if isinstance(value, list) else value for key, value in section.items()}
     fields: list[Any] = [(key, _type_of(value), value) for key, value in plain.items() if key != "type"]
-    module, _, name = word.partition(_COLON)
+    module, _, name = word.partition(COLON)
     plugin = dataclasses.make_dataclass(name, fields, frozen=True, namespace={"__module__": module, "__doc__": word})
     _KINDS[path].variants.add(_settings_of(path, word, plugin, folder))
 
@@ -110,7 +110,7 @@ def _restored(path: tuple[str, ...], word: str, folder: Path, values: Mapping[st
 
 def _imported(word: str, folder: Path) -> Any:
     """What `module:name` names. **Raises** `ValueError` if there is no such thing."""
-    module_name, _, name = word.partition(_COLON)
+    module_name, _, name = word.partition(COLON)
     parts = module_name.split(".")
     if not all(part.isidentifier() for part in (*parts, name)):
         raise ValueError(f"is {word}; expected a module and a name in it; write it as mypackage.mymodule:Gaussian")
@@ -150,11 +150,16 @@ def _check_not_another(package: str, folder: Path) -> None:
     """**Raises** `ValueError` if a module of this name was imported, and a configuration's `folder` has another."""
     own = importlib.machinery.PathFinder.find_spec(package, [str(folder.absolute())])
     loaded = getattr(sys.modules.get(package), "__file__", None)
-    if own is not None and own.origin and loaded and Path(own.origin).resolve() != Path(loaded).resolve():
+    if own is not None and own.origin and loaded and not _is_copy(Path(own.origin), Path(loaded)):
         raise ValueError(
             f"names the module {package} beside the configuration, and another {loaded} is imported by that name; "
             "expected one module of a name; rename the file"
         )
+
+
+def _is_copy(one: Path, other: Path) -> bool:
+    """Whether both are one file, or have one content, as a worker's copy of a user's module has."""
+    return one.resolve() == other.resolve() or (other.is_file() and one.read_bytes() == other.read_bytes())
 
 
 def _check_kind(word: str, plugin: Any, kind: _Kind) -> None:

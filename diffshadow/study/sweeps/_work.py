@@ -4,7 +4,6 @@ import dataclasses
 import gc
 import json
 import os
-import socket
 import threading
 import time
 import warnings
@@ -55,16 +54,18 @@ Measured = dict[str, float | int | None]
 class Batch(NamedTuple):
     """Runs that a worker does one after another.
 
-    - `folder`: the sweep's folder, an absolute path that all workers see.
+    - `folder`: the sweep's folder, an absolute path.
     - `settings`: the sweep's settings.
     - `runs`: the runs to do.
     - `programs`: the folder of compiled programs, if there is one.
+    - `shares`: whether its references are worth sending: other batches have them too, or there are few.
     """
 
     folder: str
     settings: SweepConfig
     runs: tuple[SweepRun, ...]
     programs: str | None = None
+    shares: bool = False
 
 
 class Outcome(NamedTuple):
@@ -78,15 +79,7 @@ class Outcome(NamedTuple):
 
 
 def work(batch: Batch) -> list[Outcome]:
-    """Does the runs of `batch` that are not done yet, and writes a folder for each.
-
-    **Raises** `FileNotFoundError` if the sweep's folder is not visible to this worker.
-    """
-    if not Path(batch.folder).is_dir():
-        raise FileNotFoundError(
-            f"the worker on {socket.gethostname()} has no folder {batch.folder}; expected a file system shared by all "
-            "workers: set output to a folder on one"
-        )
+    """Does the runs of `batch` that are not done yet, and writes a folder for each."""
     if batch.programs is not None:
         # If another worker is writing the same program, it is compiled here too.
         warnings.filterwarnings("ignore", "Error reading persistent compilation cache entry")
@@ -165,6 +158,12 @@ def drawing_of(config: Config) -> str:
         mode="json", warnings=False, exclude={"name", "output", "sweep", "advise", "filter", "fit", "shading"}
     )
     return json.dumps({**data, "filter": config.filter.type}, sort_keys=True)
+
+
+def reference_of(config: Config) -> str:
+    """Everything that a run's reference depends on, and more, as text. Mesh files count by name."""
+    data = config.model_dump(mode="json", warnings=False, include={"scene", "reference", "seed"})
+    return json.dumps(data, sort_keys=True)
 
 
 def _without_reals(value: Any) -> Any:
