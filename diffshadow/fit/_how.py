@@ -30,6 +30,7 @@ class Search:
     - `pixels`: the most pixels that a step of a fit of a technique evaluates. If more count, it takes a random part;
         for a loss other than the mean, most of it from the worst problems. Their errors are rescaled to whole images
         when a phase starts. The judge, and a user's loss, see all.
+    - `devices`: how many devices share the images of a fit of a technique; 0 for all that JAX sees.
 
     **Raises** `ValueError` for a value that is not allowed.
     """
@@ -41,6 +42,7 @@ class Search:
     blurs: Sequence[float] | None = SearchSettings.blurs
     evaluations: int = SearchSettings.evaluations
     pixels: int = PIXELS
+    devices: int = SearchSettings.devices
 
     def __post_init__(self):
         check_settings(self)

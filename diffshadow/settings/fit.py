@@ -104,6 +104,12 @@ class Search(Settings):
         Limits(1, 100_000),
         "for numbers that lay out the map: evaluations of the error in a search, for each parameter",
     ] = 30
+    devices: Annotated[
+        int,
+        Limits(0, 4096),
+        Unit("devices"),
+        "devices that share the views of a fit of a technique; 0 for all that JAX sees",
+    ] = 1
 
 
 class Sureness(Settings):

@@ -189,7 +189,7 @@ def files_in(folder: Path) -> dict[str, bytes]:
     return {
         name: timeless(content) if name.endswith(".json") else content
         for name, content in found.items()
-        if not name.endswith((".npz", ".html"))
+        if name.endswith((".json", ".yaml", ".parquet"))
     }
 
 
