@@ -22,8 +22,8 @@ def devices_of(asked: int) -> int:
     there = jax.device_count()
     if asked > there:
         raise ValueError(
-            f"devices is {asked}, and JAX sees {there} ({jax.default_backend()}); expected at most {there}: lower it, or "
-            "set jax_num_cpu_devices before JAX starts"
+            f"devices is {asked}, and JAX sees {there} ({jax.default_backend()}); expected at most {there}: lower it, "
+            "or set jax_num_cpu_devices before JAX starts"
         )
     return asked or there
 
