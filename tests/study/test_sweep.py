@@ -316,6 +316,7 @@ def test_runs_of_a_large_sweep_are_those_of_a_small_one(monkeypatch):
     section = "{list: [{label: a, bias.slope: 1}, {label: b}], grid: {filter.radius: [1, 2, 3]}, repeats: 4}"
     small = sweep_of(section)
     monkeypatch.setattr("diffshadow.config.reading._sweep_runs._MAX_KEPT", 0)
+    monkeypatch.setattr("diffshadow.config.reading._sweep_runs._MAX_PICKLED", 0)
     told = []
     Path("t.yaml").write_text(f"{BASE}sweep: {section}\n")
     large = load_sweep(Path("t.yaml"), progress=lambda done, total: told.append((done, total)))

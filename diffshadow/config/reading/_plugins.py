@@ -76,9 +76,9 @@ def add_plugins(data: Mapping[str, Any], origin: Origin, folder: Path, *, needed
     return mistakes
 
 
-def _add(path: tuple[str, ...], word: str, folder: Path) -> None:
+def _add(path: tuple[str, ...], word: str, folder: Path, *, is_checked: bool = False) -> None:
     kind = _KINDS[path]
-    plugin = _imported(word, folder)
+    plugin = _imported(word, folder, is_checked)
     _check_kind(word, plugin, kind)
     known = kind.variants.plugins.get(word)
     if known is None or known.plugin is not plugin:
@@ -104,12 +104,16 @@ def _type_of(value: Any) -> Any:
 
 def _restored(path: tuple[str, ...], word: str, folder: Path, values: Mapping[str, Any]) -> Any:
     """A section of a user's class, in another process."""
-    _add(path, word, folder)
+    # A worker may have a copy of the module, and see the module itself.
+    _add(path, word, folder, is_checked=True)
     return _KINDS[path].variants.plugins[word].model_validate({"type": word, **values})
 
 
-def _imported(word: str, folder: Path) -> Any:
-    """What `module:name` names. **Raises** `ValueError` if there is no such thing."""
+def _imported(word: str, folder: Path, is_checked: bool) -> Any:
+    """What `module:name` names. **Raises** `ValueError` if there is no such thing.
+
+    `is_checked`: whether the module beside the configuration was found to be no other.
+    """
     module_name, _, name = word.partition(COLON)
     parts = module_name.split(".")
     if not all(part.isidentifier() for part in (*parts, name)):
@@ -118,7 +122,8 @@ def _imported(word: str, folder: Path) -> Any:
         # Last, so that a user's file replaces no installed module.
         if place not in sys.path:
             sys.path.append(place)
-    _check_not_another(parts[0], folder)
+    if not is_checked:
+        _check_not_another(parts[0], folder)
     try:
         importlib.invalidate_caches()
         module = importlib.import_module(module_name)
@@ -150,16 +155,11 @@ def _check_not_another(package: str, folder: Path) -> None:
     """**Raises** `ValueError` if a module of this name was imported, and a configuration's `folder` has another."""
     own = importlib.machinery.PathFinder.find_spec(package, [str(folder.absolute())])
     loaded = getattr(sys.modules.get(package), "__file__", None)
-    if own is not None and own.origin and loaded and not _is_copy(Path(own.origin), Path(loaded)):
+    if own is not None and own.origin and loaded and Path(own.origin).resolve() != Path(loaded).resolve():
         raise ValueError(
             f"names the module {package} beside the configuration, and another {loaded} is imported by that name; "
             "expected one module of a name; rename the file"
         )
-
-
-def _is_copy(one: Path, other: Path) -> bool:
-    """Whether both are one file, or have one content, as a worker's copy of a user's module has."""
-    return one.resolve() == other.resolve() or (other.is_file() and one.read_bytes() == other.read_bytes())
 
 
 def _check_kind(word: str, plugin: Any, kind: _Kind) -> None:

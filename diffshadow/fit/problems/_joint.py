@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from ..._arithmetic import array_module, as_array
 from ..._checks import check_again, check_instance
 from ..._types import Scalar
+from ...settings.fit import Search
 from ...shadow import AbstractCompare, FittableTechnique, HardCompare, Overflow
 from .._loss import Errors, Loss
 from .._own_loss import LossFunction, OwnLoss, Seen
@@ -58,7 +59,7 @@ class Joint(eqx.Module):
     problems: tuple[Any, ...]
     loss: Loss
     own: OwnLoss | None = None
-    devices: int = eqx.field(static=True, default=1)
+    devices: int = eqx.field(static=True, default=Search.devices)
 
     @classmethod
     def of(

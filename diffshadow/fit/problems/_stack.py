@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, Int
 
 from ..._arithmetic import as_array, as_int
 from ..._device import chunk_size
+from ...settings.fit import Search
 from ...shadow import Atlas, ShadowMap
 from .._own_loss import Seen
 from ._abstract import AbstractProblem
@@ -40,7 +41,7 @@ class Stack(eqx.Module):
     problems: TechniqueProblem
     atlas: Atlas | None = None
     numbers: Int[Array, " n"] | None = None
-    devices: int = eqx.field(static=True, default=1)
+    devices: int = eqx.field(static=True, default=Search.devices)
 
     @classmethod
     def of(cls, problems: Sequence[TechniqueProblem], atlas: Atlas | None, numbers: Sequence[int]) -> "Stack":
@@ -116,9 +117,7 @@ class Stack(eqx.Module):
         return jax.vmap(lambda problem: problem.count)(self.problems)
 
 
-def stacked(
-    problems: Sequence[AbstractProblem], atlases: Atlases, devices: int = 1
-) -> tuple[AbstractProblem | Stack, ...]:
+def stacked(problems: Sequence[AbstractProblem], atlases: Atlases, devices: int) -> tuple[AbstractProblem | Stack, ...]:
     """Fits of a technique that are of one structure as a `Stack`; all other problems as they are.
 
     **Arguments:**
