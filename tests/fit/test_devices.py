@@ -49,7 +49,7 @@ def views() -> list[TechniqueProblem]:
         surface = base.surface
         shadow_map = draw_shadow_map(mesh, sun(mesh, direction), (64, 64))
         truth = shadows(disk(2.4 + number / 4, 1.2), shadow_map, surface)
-        mask = np.array(covered(base.technique, shadow_map, surface))
+        mask = np.array(covered(disk(2.0, 1.6), shadow_map, surface))
         mask[: 4 * number] = False
         found.append(TechniqueProblem(base.technique, shadow_map, surface, truth, jnp.asarray(mask)))
     return found

@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -146,7 +147,8 @@ class Elsewhere:
 
     def wait_for(self, count: int) -> None:
         """Waits for so many workers."""
-        until(lambda: len(self._cluster.scheduler.workers) >= count)
+        scheduler: Any = self._cluster.scheduler
+        until(lambda: len(scheduler.workers) >= count)
 
     def close(self) -> None:
         """Ends workers and scheduler."""
@@ -217,6 +219,7 @@ def test_workers_need_none_of_the_files(tmp_path):
     assert io.cache_size(tmp_path / "here" / "cache")[0] == 4
 
 
+@pytest.mark.exhaustive
 def test_a_worker_with_another_version_is_refused_by_name(tmp_path, monkeypatch):
     here = importlib.metadata.version("diffshadow")
     with elsewhere(tmp_path) as cluster:

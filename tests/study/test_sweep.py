@@ -708,7 +708,7 @@ def test_cluster_is_given_only_as_many_batches_as_keep_it_busy(cluster, monkeypa
 def test_run_that_kills_its_worker_is_distinguished_from_the_others(quick, cluster, monkeypatch):
     from distributed import KilledWorker
 
-    from diffshadow.study.sweeps import _pool as sweep_pool
+    from diffshadow.study.sweeps import _apart as sweep_apart
     from diffshadow.study.sweeps._work import work
 
     sweep = load_sweep(Path("s.yaml"))
@@ -718,7 +718,7 @@ def test_run_that_kills_its_worker_is_distinguished_from_the_others(quick, clust
             raise KilledWorker("work", types.SimpleNamespace(address="tcp://there"), 3)
         return work(batch)
 
-    monkeypatch.setattr(sweep_pool, "work", deadly)
+    monkeypatch.setattr(sweep_apart, "work", deadly)
     monkeypatch.setattr("diffshadow.study.sweeps._run._BATCHES_PER_WORKER", 2)
     folder = study.run_sweep(sweep, console=Console(quiet=True), scheduler=cluster)
     columns = table(folder)

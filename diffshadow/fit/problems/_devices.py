@@ -50,7 +50,7 @@ def on_each_device(function: Callable[[Any, Any], Any], shared: Any, views: Any,
 
 def compressed(
     residuals: Sequence[Float[Array, "n h w"]], slopes: Sequence[Float[Array, "p n h w"]], devices: int
-) -> tuple[Float[Array, " m"], Float[Array, "m p"]]:
+) -> tuple[Float[Array, " r"], Float[Array, "r p"]]:
     """Residuals and a Jacobian with few rows, whose sums of squares and products are those of images and their slopes.
 
     Each device finds the triangular factor of its own part, so that none has the Jacobian of all views (Demmel et al.,

@@ -56,7 +56,7 @@ class Stack(eqx.Module):
         """Of problems of one structure, as many on each of the `devices`."""
         each = len(problems) // devices
         parts = [problems[start : start + each] for start in range(0, len(problems), each)]
-        maps = [list({id(p.shadow_map): p.shadow_map for p in part}.values()) for part in parts]
+        maps: list[list[Any]] = [list({id(p.shadow_map): p.shadow_map for p in part}.values()) for part in parts]
         most = max(map(len, maps))
         if not _has_atlas(problems[0].shadow_map, most):
             return cls(spread(together(problems), devices), devices=devices)
