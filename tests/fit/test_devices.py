@@ -81,7 +81,10 @@ def test_more_devices_than_there_are_refused():
 def test_two_devices_fit_what_one_does(pixels):
     one, two = (_fitted(devices, pixels) for devices in (1, 2))
     np.testing.assert_allclose([each[:2] for each in two], [each[:2] for each in one], atol=1e-4)
-    np.testing.assert_allclose([each[2:] for each in two], [each[2:] for each in one], rtol=0.02)
+    # The solver may end a step sooner or later. Deviations follow from the final Jacobian.
+    np.testing.assert_allclose([each[4] for each in two], [each[4] for each in one], atol=3)
+    for part in (slice(2, 4), slice(5, None)):
+        np.testing.assert_allclose([each[part] for each in two], [each[part] for each in one], rtol=0.02)
 
 
 def _fitted(devices: int, pixels: int) -> list[list[float]]:

@@ -49,9 +49,11 @@ def on_each_device(function: Callable[[Any, Any], Any], shared: Any, views: Any,
 
 
 def compressed(
-    residuals: Sequence[Float[Array, "n h w"]], slopes: Sequence[Float[Array, "p n h w"]], devices: int
+    residuals: Sequence[Float[Array, "..."]], slopes: Sequence[Float[Array, "..."]], devices: int
 ) -> tuple[Float[Array, " r"], Float[Array, "r p"]]:
     """Residuals and a Jacobian with few rows, whose sums of squares and products are those of images and their slopes.
+
+    **Arguments:** `residuals`, `slopes`: of each stack, (n, h, w) and (p, n, h, w).
 
     Each device finds the triangular factor of its own part, so that none has the Jacobian of all views (Demmel et al.,
     "Communication-optimal parallel and sequential QR and LU factorizations", SIAM Journal on Scientific Computing 34,
