@@ -340,7 +340,7 @@ def sweep(
     overrides
         KEY=VALUE pairs that replace values of the file, such as `sweep.repeats=2`.
     scheduler
-        Address of a Dask scheduler, such as tcp://host:8786, whose workers have this package and see the same files.
+        Address of a Dask scheduler, such as tcp://host:8786, whose workers have this version of the package.
     workers
         Number of local worker processes, by default one per core; 0 does the runs in this process.
     limit
@@ -389,7 +389,7 @@ def advise(
     overrides
         KEY=VALUE pairs that replace values of the file, such as `'advise.resolutions=[[512, 512]]'`.
     scheduler
-        Address of a Dask scheduler, such as tcp://host:8786, whose workers have this package and see the same files.
+        Address of a Dask scheduler, such as tcp://host:8786, whose workers have this version of the package.
     workers
         Number of local worker processes, by default one per core; 0 does the fits in this process.
     dry_run

@@ -14,6 +14,8 @@ from .reading._advise import AdvisedTechnique as AdvisedTechnique
 from .reading._dump import Row as Row
 from .reading._dump import describe, dump, dump_resolved
 from .reading._dump import fit_units as fit_units
+from .reading._files import input_files as input_files
+from .reading._files import user_modules as user_modules
 from .reading._init import write_template as write_template
 from .reading._load import load_config, parse_config
 from .reading._numbers import Choice as Choice

@@ -1,5 +1,6 @@
 """Fitting to a reference."""
 
+import dataclasses
 import time
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -25,7 +26,7 @@ from ._precision import Precision
 from ._profile import Profile, Profiler
 from ._run import Outcome, Run, Start, Trajectory, Values, root
 from ._starts import starts_within
-from .problems import AbstractProblem, Joint, check_problem
+from .problems import AbstractProblem, Joint, check_problem, devices_of, on_host
 from .solvers import OptimistixSolver, Solver
 
 
@@ -166,6 +167,13 @@ def fit(
     offsets, given, parameters = [p.offset for p in parameters], tuple(parameters), [p.counted() for p in parameters]
     spread = starts_within(fitted, as_float([p.initial for p in parameters]), search.starts, search.seed)
     joint = joint.each(lambda problem: problem.planned())
+    if (devices := devices_of(search.devices)) > 1:
+        if joint.moves:
+            raise ValueError(
+                f"devices is {devices}, and lights or meshes move; expected 1: only fits of a technique are shared"
+            )
+        # The program of a step puts a part on each device.
+        joint = dataclasses.replace(joint.each(on_host), devices=devices)
     phases = phases_of(joint, fitted.paths, anneal, search.blurs, search.pixels)
     with showing("fit", unless=on_step is not None) as update:
         watch = on_step if update is None else shown_steps(update, phases, search.starts, joint.own is not None)

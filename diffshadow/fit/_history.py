@@ -47,13 +47,17 @@ def shown_steps(update: Update, phases: Sequence[Any], starts: int, is_own_loss:
 
 
 class Report(eqx.Module):
-    """What optimistix calls at every step: hands the numbers to the reporter that `token` names."""
+    """What optimistix calls at every step: hands the numbers to the reporter that `token` names.
+
+    `ordered`: whether JAX keeps the order. A program of several devices cannot; the first of them reports, in its own.
+    """
 
     token: Array
+    ordered: bool = eqx.field(static=True, default=True)
 
     def __call__(self, *, loss_this_step, y, **_):
         # Optimistix minimises half the sum of squares.
-        jax.debug.callback(_dispatch, self.token, 2 * loss_this_step[1], y[1], ordered=True)
+        jax.debug.callback(_dispatch, self.token, 2 * loss_this_step[1], y[1], ordered=self.ordered)
 
 
 def report_loss(token: Array, loss: Array, y: Float[Array, " a"]) -> None:

@@ -11,9 +11,6 @@ from ..settings.fit import Sureness as SurenessSettings
 from ._profile import Bound
 from .problems import Joint, check_falling
 
-PIXELS = 1 << 16
-"""The most pixels that a step of a fit of a technique evaluates, by default: as many as 256 x 256."""
-
 
 @dataclasses.dataclass(frozen=True)
 class Search:
@@ -30,6 +27,7 @@ class Search:
     - `pixels`: the most pixels that a step of a fit of a technique evaluates. If more count, it takes a random part;
         for a loss other than the mean, most of it from the worst problems. Their errors are rescaled to whole images
         when a phase starts. The judge, and a user's loss, see all.
+    - `devices`: how many devices share the images of a fit of a technique; 0 for all that JAX sees.
 
     **Raises** `ValueError` for a value that is not allowed.
     """
@@ -40,14 +38,13 @@ class Search:
     seed: int = 0
     blurs: Sequence[float] | None = SearchSettings.blurs
     evaluations: int = SearchSettings.evaluations
-    pixels: int = PIXELS
+    pixels: int = SearchSettings.pixels
+    devices: int = SearchSettings.devices
 
     def __post_init__(self):
         check_settings(self)
         if self.blurs is not None:
             check_falling(self.blurs)
-        if self.pixels < 1:
-            raise ValueError(f"Search.pixels is {self.pixels}; expected 1 or more")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -19,7 +19,7 @@ from ._precision import Precision, on_grids, precision_of
 from ._programs import compiled
 from ._search import search
 from ._solve import Solution, solve
-from .problems import Atlases, Joint, Samples
+from .problems import Atlases, Joint, Losses, Samples
 from .solvers import Solver, Stop
 
 # How often a phase may be given memory for more silhouettes.
@@ -129,6 +129,7 @@ class Run:
         self._judged_errors: dict[Any, Errors] = {}
         self._samples: Samples = {}
         self._atlases: Atlases = {}
+        self._stacked: tuple[Any, Joint] | None = None
 
     def through(self, spread: Float[Array, "s p"]) -> tuple[Trajectory, list[Start]]:
         """The best path from `spread` (s, p), and the course of each start where there are several."""
@@ -284,7 +285,7 @@ class Run:
     def rmse(self, values: Values) -> float:
         """The root mean square error over all pixels under the hard compare, whatever the loss."""
         judge = self.judged_at(as_float(values)).with_loss(Loss())
-        return float(judge.losses(judge.subject).whole) ** 0.5
+        return float(self._losses(judge).whole) ** 0.5
 
     def _arguments(
         self,
@@ -320,12 +321,20 @@ class Run:
         self.judge = self.judge.laid_out(self.parameters, values)
         return self.judge.put(self.parameters, values)
 
+    def _losses(self, judge: Joint) -> Losses:
+        """The losses of the judge, by all devices if there are several."""
+        if judge.devices == 1 or judge.moves or judge.own is not None:
+            return judge.losses(judge.subject)
+        if self._stacked is None or self._stacked[0] is not judge.problems:
+            self._stacked = judge.problems, judge.each(lambda p: p.padded()).stacked()
+        return judge.losses_together(self._stacked[1])
+
     def _errors(self, values: Float[Array, " p"], loss: Loss) -> Errors:
         """The errors of whole images under the hard compare at `values` (p,), with the factors of `loss`."""
         key = _key(values, loss)
         if key not in self._judged_errors:
             judge = self.judged_at(values).with_loss(loss.exact())
-            self._judged_errors[key] = judge.losses(judge.subject).errors
+            self._judged_errors[key] = self._losses(judge).errors
         return self._judged_errors[key]
 
     def _judged(self, values: Float[Array, " p"]) -> tuple[float, float]:
@@ -333,7 +342,7 @@ class Run:
         for _ in range(_ENLARGEMENTS + 1):
             # Not as one program: its parts share theirs with all else that is drawn.
             judge = self.judged_at(values)
-            found = judge.losses(judge.subject)
+            found = self._losses(judge)
             if not found.overflow:
                 self._judged_errors[_key(values, judge.loss)] = found.errors
                 loss, hard_loss = (float(each) if np.isfinite(each) else np.inf for each in found[:2])

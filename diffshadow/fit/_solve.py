@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from ..shadow import Overflow
 from ._history import Report, report_loss, report_overflow
 from ._parameters import Parameters
-from .problems import Images, Joint, multiplied, products, squares
+from .problems import Images, Joint, compressed, multiplied, products, squares
 from .solvers import Solver, Stop, optimistix_options, optimistix_solver
 
 Stacks = tuple[Float[Array, "..."], ...]
@@ -81,7 +81,7 @@ def _solve(
         return found, known
 
     args: Any = joint, parameters, scale
-    method: Any = optimistix_solver(solver, Report(token), stop)
+    method: Any = optimistix_solver(solver, Report(token, joint.devices == 1), stop)
     options, until = optimistix_options(solver), {"max_steps": solver.max_steps, "throw": False}
     run = optx.minimise if is_scalar else optx.least_squares
     solution = run(residual, method, y, args, options, has_aux=True, **until)
@@ -113,8 +113,12 @@ def _rows(
     compared, sloping = joint.compared(differences), jax.vmap(joint.compared)(slopes)
     roots, curvature_rows = _weights(joint, compared, sloping)
     weighted = lambda stacks: jax.vmap(lambda images: multiplied(images, roots))(stacks)
-    along = jnp.matmul(_columns(weighted(sloping)), change, precision="highest")
-    rows = [_flat(multiplied(compared, roots)) + along]
+    if joint.devices > 1:
+        few, jacobian = compressed(multiplied(compared, roots), weighted(sloping), joint.devices)
+        rows = [few + jnp.matmul(jacobian, change, precision="highest")]
+    else:
+        along = jnp.matmul(_columns(weighted(sloping)), change, precision="highest")
+        rows = [_flat(multiplied(compared, roots)) + along]
     if curvature_rows is not None:
         rows.append(jnp.matmul(curvature_rows, change, precision="highest"))
     return jnp.concatenate(rows), (multiplied(differences, roots), weighted(slopes), roots), overflow

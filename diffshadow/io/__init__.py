@@ -8,6 +8,8 @@ from ._cache import CACHE_LIMIT as CACHE_LIMIT
 from ._cache import cache_folder, cache_size, clear_cache, keep_compiled_programs
 from ._cache import cache_key as cache_key
 from ._cache import cached_arrays as cached_arrays
+from ._cache import cached_content as cached_content
+from ._cache import keep_content as keep_content
 from ._cache import programs_folder as programs_folder
 from ._cache import prune_cache as prune_cache
 from ._errors import FileError, FileWarning, ImageWarning, MeshWarning
@@ -15,8 +17,10 @@ from ._images import read_picture, read_visibility, write_animation, write_png, 
 from ._looks import Picture as Picture
 from ._looks import png_of as png_of
 from ._meshes import coarse_steps as coarse_steps
+from ._meshes import files_of_mesh as files_of_mesh
 from ._meshes import load_mesh
 from ._paths import existing_file as existing_file
+from ._paths import reading_copies as reading_copies
 from ._ply import write_ply
 from ._trimesh import suffix_of_others as suffix_of_others
 from ._write_gltf import write_gltf

@@ -72,6 +72,26 @@ def cached_arrays(
     return arrays
 
 
+def cached_content(key: str) -> bytes | None:
+    """The file of the entry with this `key` in `cache_folder`; none if there is none that can be read."""
+    try:
+        return (cache_folder() / f"{key}.npz").read_bytes()
+    except (OSError, RuntimeError):
+        return None
+
+
+def keep_content(key: str, content: bytes) -> None:
+    """Adds the file of an entry, as `cached_content` returns it, to `cache_folder` unless it is there. Does nothing if
+    the folder cannot be written to."""
+    with contextlib.suppress(OSError, RuntimeError, FileError):
+        entry = cache_folder() / f"{key}.npz"
+        if not entry.exists():
+            entry.parent.mkdir(parents=True, exist_ok=True)
+            with atomic_path(entry) as temporary:
+                temporary.write_bytes(content)
+            prune_cache(entry.parent)
+
+
 def cache_folder() -> Path:
     """The folder for cached results, from the environment; it may not exist yet."""
     chosen = os.environ.get("DIFFSHADOW_CACHE")

@@ -13,6 +13,7 @@ from jaxtyping import Float32
 
 from .._types import HostArray
 from ._errors import FileError
+from ._paths import on_disk
 from ._pixels import Merge, Pixels, check_size, mean_colour, upright
 from ._text import listed
 
@@ -39,7 +40,7 @@ def read_exr(file: Path, merge: Merge = mean_colour) -> Pixels:
     damaged.
     """
     try:
-        with _silent(), OpenEXR.File(str(file), header_only=True) as exr:
+        with _silent(), OpenEXR.File(str(on_disk(file)), header_only=True) as exr:
             headers = [dict(part.header) for part in exr.parts]
     except Exception as error:
         raise ValueError("its header is cut short or garbled") from error
@@ -52,7 +53,7 @@ def read_exr(file: Path, merge: Merge = mean_colour) -> Pixels:
     within = _within(file, header)
     _check(file, header, chosen.channels)
     try:
-        with _silent(), OpenEXR.File(str(file), separate_channels=True) as exr:
+        with _silent(), OpenEXR.File(str(on_disk(file)), separate_channels=True) as exr:
             channels = exr.parts[chosen.part].channels
             read = lambda name: np.asarray(channels[name].pixels, np.float32)[within]
             colours = [read(name) for name in chosen.channels]

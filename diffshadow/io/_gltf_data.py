@@ -4,6 +4,7 @@ Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html, sectio
 """
 
 import base64
+import os
 import struct
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -15,7 +16,8 @@ from jaxtyping import Shaped
 
 from .._types import HostArray
 from ._errors import MeshError, damaged
-from ._gltf_schema import Document, unknown
+from ._gltf_schema import Document, parse, unknown
+from ._paths import on_disk
 from ._text import excerpt, listed
 
 _MAGIC = b"glTF"
@@ -163,16 +165,34 @@ class Buffers:
         """The content of a file that the glTF file refers to."""
         if "://" in uri:
             raise MeshError(f"keeps its data at {excerpt(uri)}; download that file, and set the uri to its local path")
-        # Some writers do not percent-encode special characters.
-        for name in (unquote(uri), uri):
+        for name in _names(uri):
             try:
-                return (self._folder / name).read_bytes()
+                return on_disk(self._folder / name).read_bytes()
             except FileNotFoundError:
                 continue
             except (OSError, ValueError) as error:
                 reason = getattr(error, "strerror", None) or str(error)
                 raise MeshError(f"needs the file {excerpt(uri)} beside it, which cannot be read: {reason}") from error
         raise MeshError(f"needs the file {excerpt(uri)} beside it, which does not exist; put it there")
+
+
+def files_beside(data: bytes, folder: Path) -> list[Path]:
+    """The files in `folder` that the glTF file with the content `data` keeps its buffers and images in.
+
+    **Raises** `MeshError` if the file is damaged.
+    """
+    document = parse(chunks(data)[0])
+    uris = [buffer.uri for buffer in document.buffers]
+    uris += [image.get("uri") for image in document.images if isinstance(image, dict)]
+    names = [
+        name for uri in uris if isinstance(uri, str) and uri and not uri.startswith("data:") for name in _names(uri)
+    ]
+    return [file for name in names if (file := Path(os.path.normpath(folder / name))).is_file()]
+
+
+def _names(uri: str) -> tuple[str, str]:
+    # Some writers do not percent-encode special characters.
+    return unquote(uri), uri
 
 
 def unread(extensions: Iterable[str]) -> MeshError | None:

@@ -21,7 +21,7 @@ from ._arrays import read_header
 from ._atomic import atomic_path
 from ._errors import FileError, ImageWarning
 from ._exr import read_exr, write_exr
-from ._paths import existing_file
+from ._paths import existing_file, on_disk
 from ._pixels import Pixels, check_size, three_colours
 from ._png import read_png, write_levels
 
@@ -155,12 +155,12 @@ def write_visibility(path: str | os.PathLike[str], image: Any) -> None:
 
 def _read_npy(file: Path) -> Pixels:
     # Opened here, since `np.load` leaves a damaged file open.
-    with file.open("rb") as stream:
+    with on_disk(file).open("rb") as stream:
         shape, _, dtype = read_header(stream, f"the image file {file}")
         if dtype.kind not in "bfiu":
             raise FileError(f"the image file {file} holds values of type {dtype}; expected real numbers")
         # `np.load` allocates what the header asks for before it looks at the file's size.
-        expected, actual = math.prod(shape) * dtype.itemsize, file.stat().st_size - stream.tell()
+        expected, actual = math.prod(shape) * dtype.itemsize, on_disk(file).stat().st_size - stream.tell()
         if expected != actual:
             raise ValueError(f"it has {actual} bytes of numbers; expected the {expected} of its shape {shape}")
         stream.seek(0)
@@ -174,7 +174,7 @@ def _write_npy(file: Path, pixels: HostArray) -> None:
 
 
 def _read_jpeg(file: Path) -> Pixels:
-    with Image.open(file, formats=["JPEG"]) as image:
+    with Image.open(on_disk(file), formats=["JPEG"]) as image:
         check_size(file, image.height, image.width)
         return Pixels(np.asarray(ImageOps.exif_transpose(image).convert("RGB"), np.float32)[::-1] / 255)
 
@@ -205,7 +205,7 @@ def _for_suffix[T](path: Path, table: Mapping[str, T]) -> T:
 def _check_signature(file: Path) -> None:
     """**Raises** `ValueError` if the file's first bytes do not match its suffix, `FileError` if it cannot be read."""
     try:
-        with file.open("rb") as stream:
+        with on_disk(file).open("rb") as stream:
             start = stream.read(max(map(len, _SIGNATURES)))
     except OSError as error:
         raise FileError(f"cannot read the image file {file}: {error.strerror or error}") from error

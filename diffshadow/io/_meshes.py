@@ -14,10 +14,11 @@ from ..geometry import Mesh, crease_normals, step_of, weld
 from ..settings.scene import GLTF_SUFFIXES
 from ._errors import FileError, MeshError, MeshWarning, damaged
 from ._gltf import read_gltf
+from ._gltf_data import files_beside
 from ._looks import Looks, MeshLooks, Picture, Texture, looks_of_triangles, read_texture
 from ._obj import read_obj
 from ._off import read_off
-from ._paths import existing_file
+from ._paths import existing_file, on_disk
 from ._ply import read_ply
 from ._polygons import Polygons, triangulate
 from ._stl import read_stl
@@ -97,9 +98,9 @@ def load_mesh(
         # NaN and infinite coordinates are checked after reading.
         with np.errstate(all="ignore"):
             if texture is not None and file.suffix.lower() == ".obj":
-                polygons = read_obj(file.read_bytes(), with_uv=True)
+                polygons = read_obj(on_disk(file).read_bytes(), with_uv=True)
             else:
-                polygons = _reader(file)(file.read_bytes(), file.parent)
+                polygons = _reader(file)(on_disk(file).read_bytes(), file.parent)
         _check(polygons)
         triangles = triangulate(polygons)
         vertices, faces, kept = weld(polygons.vertices, triangles)
@@ -141,16 +142,17 @@ def _image(path: str | os.PathLike[str]) -> Picture:
     """Reads an image file. **Raises** `FileError` if it cannot be read."""
     file = existing_file(path, "texture")
     try:
-        state = file.stat()
-        return _read_image(file, state.st_mtime_ns, state.st_size)
+        copy = on_disk(file)
+        state = copy.stat()
+        return _read_image(copy, str(file), state.st_mtime_ns, state.st_size)
     except OSError as error:
         raise FileError(f"cannot read the texture {file}: {error.strerror or error}") from error
 
 
 @functools.lru_cache(maxsize=_IMAGES_KEPT)
-def _read_image(file: Path, time: int, size: int) -> Picture:
+def _read_image(file: Path, name: str, time: int, size: int) -> Picture:
     """An image file that was last changed at this time: one array for all meshes that have it."""
-    return read_texture(file.read_bytes(), str(file))
+    return read_texture(file.read_bytes(), name)
 
 
 def _looks(
@@ -172,6 +174,18 @@ def _looks(
             "leave alpha_cutoff out"
         )
     return looks
+
+
+def files_of_mesh(path: str | os.PathLike[str]) -> list[Path]:
+    """The absolute paths of a mesh file and of the files beside it that it refers to, as far as there are such."""
+    file = Path(os.path.abspath(path))
+    if file.suffix.lower() not in GLTF_SUFFIXES:
+        return [file]
+    try:
+        return [file, *files_beside(on_disk(file).read_bytes(), file.parent)]
+    except (MeshError, OSError):
+        # The reader reports it.
+        return [file]
 
 
 def _reader(file: Path) -> Callable[[bytes, Path], Polygons]:

@@ -1,10 +1,34 @@
 """Finds files that a user named."""
 
+import contextlib
 import difflib
 import os
+from collections.abc import Iterator, Mapping
+from contextvars import ContextVar
 from pathlib import Path
+from types import MappingProxyType
 
 from ._errors import FileError
+
+_COPIES: ContextVar[Mapping[str, Path]] = ContextVar("copies", default=MappingProxyType({}))
+
+
+@contextlib.contextmanager
+def reading_copies(copies: Mapping[str, Path]) -> Iterator[None]:
+    """Reads the files at these absolute paths from their copies in the block. Messages still name the paths.
+
+    A worker on another machine reads its inputs in this way.
+    """
+    token = _COPIES.set(copies)
+    try:
+        yield
+    finally:
+        _COPIES.reset(token)
+
+
+def on_disk(file: Path) -> Path:
+    """Where the content of `file`, an absolute path, is read: its copy, or the file itself."""
+    return _COPIES.get().get(os.path.normpath(file), file)
 
 
 def existing_file(path: str | os.PathLike[str], what: str) -> Path:
@@ -14,6 +38,8 @@ def existing_file(path: str | os.PathLike[str], what: str) -> Path:
     folder if there is one.
     """
     absolute = Path(os.path.abspath(path))
+    if str(absolute) in _COPIES.get():
+        return absolute
     if absolute.is_dir():
         raise FileError(f"{absolute} is a folder; expected a {what} file: give the name of a file in it")
     if absolute.is_file():

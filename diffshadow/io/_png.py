@@ -13,6 +13,7 @@ from PIL import Image
 
 from .._types import HostArray
 from ._errors import FileError
+from ._paths import on_disk
 from ._pixels import Merge, Pixels, check_size, mean_colour, upright
 from ._text import excerpt
 
@@ -43,7 +44,7 @@ def read_png(file: Path, merge: Merge = mean_colour, curves: Sequence[str | None
 
     **Raises** `FileError` for an animation, or too many pixels, and other errors if the file is damaged.
     """
-    data = file.read_bytes()
+    data = on_disk(file).read_bytes()
     # The signature, and the header's length and name, come before the width and height.
     if len(data) < 26:
         raise ValueError("its header is cut short")

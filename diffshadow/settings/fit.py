@@ -14,6 +14,8 @@ Over = Literal["mean", "worst", "cvar"]
 
 FEWEST_POINTS = 3
 """The fewest points of a front."""
+PIXELS = 1 << 16
+"""The most pixels that a step of a fit of a technique evaluates, by default: as many as 256 x 256."""
 BLUR = 3.0
 """The last standard deviation of a fit by default, in pixels."""
 # The largest standard deviation, as a fraction of the image's shorter side.
@@ -104,6 +106,18 @@ class Search(Settings):
         Limits(1, 100_000),
         "for numbers that lay out the map: evaluations of the error in a search, for each parameter",
     ] = 30
+    pixels: Annotated[
+        int,
+        Limits(1, 1 << 40),
+        Unit("pixels"),
+        "for techniques: most pixels of all views that a step of the fit evaluates; if more count, a random part",
+    ] = PIXELS
+    devices: Annotated[
+        int,
+        Limits(0, 4096),
+        Unit("devices"),
+        "devices that share the views of a fit of a technique; 0 for all that JAX sees",
+    ] = 1
 
 
 class Sureness(Settings):

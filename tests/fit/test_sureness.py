@@ -278,7 +278,7 @@ def test_the_parts_of_a_front_are_parts_of_the_error(found):
         (lambda: Search(starts=0), "starts is 0; expected a whole number at least 1"),
         (lambda: Sureness(tolerance=11.0), "tolerance is 11.0; expected a number"),
         (lambda: Search(blurs=(1.0, -1.0)), r"blurs\[1\] is -1.0; expected a number"),
-        (lambda: Search(pixels=0), "pixels is 0; expected 1 or more"),
+        (lambda: Search(pixels=0), "pixels is 0; expected a whole number at least 1"),
     ],
 )
 def test_impossible_choices_are_refused(made, message):

@@ -316,6 +316,7 @@ def test_runs_of_a_large_sweep_are_those_of_a_small_one(monkeypatch):
     section = "{list: [{label: a, bias.slope: 1}, {label: b}], grid: {filter.radius: [1, 2, 3]}, repeats: 4}"
     small = sweep_of(section)
     monkeypatch.setattr("diffshadow.config.reading._sweep_runs._MAX_KEPT", 0)
+    monkeypatch.setattr("diffshadow.config.reading._sweep_runs._MAX_PICKLED", 0)
     told = []
     Path("t.yaml").write_text(f"{BASE}sweep: {section}\n")
     large = load_sweep(Path("t.yaml"), progress=lambda done, total: told.append((done, total)))
@@ -707,7 +708,7 @@ def test_cluster_is_given_only_as_many_batches_as_keep_it_busy(cluster, monkeypa
 def test_run_that_kills_its_worker_is_distinguished_from_the_others(quick, cluster, monkeypatch):
     from distributed import KilledWorker
 
-    from diffshadow.study.sweeps import _pool as sweep_pool
+    from diffshadow.study.sweeps import _apart as sweep_apart
     from diffshadow.study.sweeps._work import work
 
     sweep = load_sweep(Path("s.yaml"))
@@ -717,7 +718,7 @@ def test_run_that_kills_its_worker_is_distinguished_from_the_others(quick, clust
             raise KilledWorker("work", types.SimpleNamespace(address="tcp://there"), 3)
         return work(batch)
 
-    monkeypatch.setattr(sweep_pool, "work", deadly)
+    monkeypatch.setattr(sweep_apart, "work", deadly)
     monkeypatch.setattr("diffshadow.study.sweeps._run._BATCHES_PER_WORKER", 2)
     folder = study.run_sweep(sweep, console=Console(quiet=True), scheduler=cluster)
     columns = table(folder)

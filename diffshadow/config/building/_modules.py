@@ -41,6 +41,7 @@ class FitPlan(NamedTuple):
     - `arrangement`: technique, lights and meshes of the scene if lights or meshes are fitted; otherwise none.
     - `blurs`, `starts`: for a fit of lights or meshes, as in `fit.fit`.
     - `searches`: whether some parameters lay out the map, and are found by a search of `evaluations`, as in `fit.fit`.
+    - `pixels`, `devices`: as for `fit.Search`.
     - `truth`: the scene's own values of fitted poses, by name, if the reference is traced.
     - `within`, `prefer`, `tolerance`, `front`: as in `fit.fit`.
     """
@@ -54,6 +55,8 @@ class FitPlan(NamedTuple):
     starts: int
     searches: bool
     evaluations: int
+    pixels: int
+    devices: int
     truth: dict[str, float]
     within: tuple[float, ...]
     prefer: tuple[tuple[str, fit.Bound], ...]
@@ -259,6 +262,8 @@ def build_fit(config: Config, scene: geometry.Scene | None = None) -> FitPlan:
         config.fit.multistart,
         any(is_searched(config, name) for name in config.fit.parameters),
         config.fit.evaluations,
+        config.fit.pixels,
+        config.fit.devices,
         truth,
         config.fit.intervals,
         tuple((name, _towards_zero(config.fit.parameters[name])) for name in preferences(config.fit)),

@@ -1,5 +1,7 @@
 """Writes a configuration as YAML and as a table."""
 
+import functools
+import pickle
 from collections.abc import Iterator, Mapping
 from functools import reduce
 from typing import Any, NamedTuple
@@ -25,7 +27,13 @@ class Row(NamedTuple):
 
 def dump_resolved(config: Config) -> str:
     """`config` as YAML with every default written out; loading it gives an equal configuration."""
-    return dump(_plain(config))
+    # Of many runs, most sections are equal, and YAML takes several milliseconds to write.
+    return "".join(_dumped(pickle.dumps({key: value})) for key, value in _plain(config).items())
+
+
+@functools.lru_cache(maxsize=1024)
+def _dumped(section: bytes) -> str:
+    return dump(pickle.loads(section))
 
 
 def dump(data: Any) -> str:

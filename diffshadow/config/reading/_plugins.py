@@ -23,8 +23,8 @@ from ..sections._section import Variants, value_at
 from ..sections._technique import TECHNIQUES
 from ..sections._views import LOSSES
 
-# What parts a module from a name in it.
-_COLON = ":"
+COLON = ":"
+"""What parts a module from a name in it."""
 
 
 class _Kind(NamedTuple):
@@ -62,7 +62,7 @@ def add_plugins(data: Mapping[str, Any], origin: Origin, folder: Path, *, needed
     mistakes = []
     for path in _KINDS:
         word = value_at(data, *path, "type")
-        if isinstance(word, str) and _COLON in word:
+        if isinstance(word, str) and COLON in word:
             try:
                 try:
                     _add(path, word, folder)
@@ -76,9 +76,9 @@ def add_plugins(data: Mapping[str, Any], origin: Origin, folder: Path, *, needed
     return mistakes
 
 
-def _add(path: tuple[str, ...], word: str, folder: Path) -> None:
+def _add(path: tuple[str, ...], word: str, folder: Path, *, is_checked: bool = False) -> None:
     kind = _KINDS[path]
-    plugin = _imported(word, folder)
+    plugin = _imported(word, folder, is_checked)
     _check_kind(word, plugin, kind)
     known = kind.variants.plugins.get(word)
     if known is None or known.plugin is not plugin:
@@ -89,7 +89,7 @@ def _add_stand_in(path: tuple[str, ...], word: str, folder: Path, section: Mappi
     """Adds a section with the keys and the types of values of `section`."""
     plain = {str(key): tuple(value) if isinstance(value, list) else value for key, value in section.items()}
     fields: list[Any] = [(key, _type_of(value), value) for key, value in plain.items() if key != "type"]
-    module, _, name = word.partition(_COLON)
+    module, _, name = word.partition(COLON)
     plugin = dataclasses.make_dataclass(name, fields, frozen=True, namespace={"__module__": module, "__doc__": word})
     _KINDS[path].variants.add(_settings_of(path, word, plugin, folder))
 
@@ -104,13 +104,17 @@ def _type_of(value: Any) -> Any:
 
 def _restored(path: tuple[str, ...], word: str, folder: Path, values: Mapping[str, Any]) -> Any:
     """A section of a user's class, in another process."""
-    _add(path, word, folder)
+    # A worker may have a copy of the module, and see the module itself.
+    _add(path, word, folder, is_checked=True)
     return _KINDS[path].variants.plugins[word].model_validate({"type": word, **values})
 
 
-def _imported(word: str, folder: Path) -> Any:
-    """What `module:name` names. **Raises** `ValueError` if there is no such thing."""
-    module_name, _, name = word.partition(_COLON)
+def _imported(word: str, folder: Path, is_checked: bool) -> Any:
+    """What `module:name` names. **Raises** `ValueError` if there is no such thing.
+
+    `is_checked`: whether the module beside the configuration was found to be no other.
+    """
+    module_name, _, name = word.partition(COLON)
     parts = module_name.split(".")
     if not all(part.isidentifier() for part in (*parts, name)):
         raise ValueError(f"is {word}; expected a module and a name in it; write it as mypackage.mymodule:Gaussian")
@@ -118,7 +122,8 @@ def _imported(word: str, folder: Path) -> Any:
         # Last, so that a user's file replaces no installed module.
         if place not in sys.path:
             sys.path.append(place)
-    _check_not_another(parts[0], folder)
+    if not is_checked:
+        _check_not_another(parts[0], folder)
     try:
         importlib.invalidate_caches()
         module = importlib.import_module(module_name)

@@ -6,6 +6,7 @@ import importlib.metadata
 import json
 import math
 import os
+import pickle
 from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -30,8 +31,10 @@ _FORMAT = 1
 _ID_BYTES = 8
 # Each run takes a millisecond to check, a folder, and a few hundred bytes of memory.
 _MAX_RUNS = 1 << 20
-# The runs of larger sweeps are not kept in memory, but made again when they are needed.
+# The runs of larger sweeps are kept pickled, in some kilobytes each. Reading one takes a fifth of making it.
 _MAX_KEPT = 4096
+# The runs of still larger sweeps are not kept in memory, but made again when they are needed.
+_MAX_PICKLED = 1 << 14
 # How many distinct faults are collected before checking stops.
 _MAX_FAULTS = 100
 
@@ -78,6 +81,7 @@ class SweepRuns(Sequence[SweepRun]):
         # Results of `check`: all identifiers, concatenated, and the runs of a small sweep.
         self._ids: bytes | None = None
         self._kept: list[SweepRun] | None = None
+        self._pickled: list[bytes] | None = None
 
     def __len__(self) -> int:
         return self._count
@@ -99,6 +103,9 @@ class SweepRuns(Sequence[SweepRun]):
         """The runs at the increasing `indices`. Work that they have in common is done once."""
         if self._kept is not None:
             yield from (self._kept[index] for index in indices)
+            return
+        if self._pickled is not None:
+            yield from (pickle.loads(self._pickled[index]) for index in indices)
             return
         for index, draft in self._drafts(indices):
             yield self._made(index, draft)
@@ -128,7 +135,8 @@ class SweepRuns(Sequence[SweepRun]):
             return
         # For each fault, the first run that has it, and the number of runs that have it.
         faults: dict[Mistake, tuple[int, int]] = {}
-        ids, kept, checked = bytearray(), [], 0
+        ids, kept, pickled, checked = bytearray(), [], [], 0
+        made = self._count * (1 + len(self._steps))
         for index, draft in self._drafts(range(self._count)):
             try:
                 run = self._made(index, draft)
@@ -138,8 +146,10 @@ class SweepRuns(Sequence[SweepRun]):
                     faults[mistake] = first, count + 1
             else:
                 ids += bytes.fromhex(run.id)
-                if self._count * (1 + len(self._steps)) <= _MAX_KEPT:
+                if made <= _MAX_KEPT:
                     kept.append(run)
+                elif made <= _MAX_PICKLED:
+                    pickled.append(pickle.dumps(run))
             checked += 1
             if progress is not None:
                 progress(checked, self._count)
@@ -151,7 +161,7 @@ class SweepRuns(Sequence[SweepRun]):
                 mistake if count == checked else _with_values(mistake, self._values(first))
                 for mistake, (first, count) in faults.items()
             )
-        self._ids, self._kept = bytes(ids), kept or None
+        self._ids, self._kept, self._pickled = bytes(ids), kept or None, pickled or None
 
     def _values(self, index: int) -> dict[str, Any]:
         return {axis: self._value(axis, index) for axis in self._axes}

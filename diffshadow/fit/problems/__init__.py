@@ -5,8 +5,12 @@ from ._arranged import ArrangedProblem as ArrangedProblem
 from ._blur import REACH_OF_BLUR as REACH_OF_BLUR
 from ._blur import blurs_of as blurs_of
 from ._blur import check_falling as check_falling
+from ._devices import compressed as compressed
+from ._devices import devices_of as devices_of
+from ._devices import on_host as on_host
 from ._joint import Images as Images
 from ._joint import Joint as Joint
+from ._joint import Losses as Losses
 from ._joint import Samples as Samples
 from ._joint import check_problem as check_problem
 from ._joint import multiplied as multiplied

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from ..._arithmetic import array_module, as_array
 from ..._checks import check_again, check_instance
 from ..._types import Scalar
+from ...settings.fit import Search
 from ...shadow import AbstractCompare, FittableTechnique, HardCompare, Overflow
 from .._loss import Errors, Loss
 from .._own_loss import LossFunction, OwnLoss, Seen
@@ -51,12 +52,14 @@ class Joint(eqx.Module):
     - `subject`: what is fitted.
     - `problems`: each an `AbstractProblem`, whose own subject is ignored, or a `Stack` of several.
     - `loss`: of their errors; `own`: a user's in its place, if there is one.
+    - `devices`: how many devices evaluate its stacks.
     """
 
     subject: Any
     problems: tuple[Any, ...]
     loss: Loss
     own: OwnLoss | None = None
+    devices: int = eqx.field(static=True, default=Search.devices)
 
     @classmethod
     def of(
@@ -197,7 +200,15 @@ class Joint(eqx.Module):
 
         **Arguments:** `atlases`: those made so far, which are used again.
         """
-        return dataclasses.replace(self, problems=stacked(self.problems, {} if atlases is None else atlases))
+        atlases = {} if atlases is None else atlases
+        return dataclasses.replace(self, problems=stacked(self.problems, atlases, self.devices))
+
+    def losses_together(self, stacks: "Joint") -> Losses:
+        """`losses` by one program, from the same problems as `stacks`."""
+        found = _losses(dataclasses.replace(stacks, subject=self.subject, loss=self.loss))
+        errors = np.empty(len(self.problems), np.float32)
+        errors[stacked_order(self.problems)] = found.errors
+        return found._replace(errors=as_array(errors))
 
     @property
     def technique(self) -> FittableTechnique:
@@ -266,6 +277,11 @@ def _by_sign(images: Images) -> tuple[Images, Images]:
 def _errors(joint: Joint) -> Errors:
     differences, _ = joint.differences(joint.subject)
     return squares(differences)
+
+
+@eqx.filter_jit
+def _losses(joint: Joint) -> Losses:
+    return joint.losses(joint.subject)
 
 
 def _compared(problem: Any, seen: Seen) -> Seen:

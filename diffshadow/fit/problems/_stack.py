@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -12,9 +12,11 @@ from jaxtyping import Array, Float, Int
 
 from ..._arithmetic import as_array, as_int
 from ..._device import chunk_size
+from ...settings.fit import Search
 from ...shadow import Atlas, ShadowMap
 from .._own_loss import Seen
 from ._abstract import AbstractProblem
+from ._devices import on_each_device, spread
 from ._technique import TechniqueProblem
 
 # The most pixels of images that are evaluated at once, on a CPU and on a GPU.
@@ -33,11 +35,13 @@ class Stack(eqx.Module):
 
     - `problems`: one problem whose arrays have a leading axis for the images.
     - `atlas`, `numbers`: where their maps are, (n,), if these can be in an atlas. The problems then hold no depths.
+    - `devices`: how many devices have a part of the problems each. The atlas then has a leading axis for them.
     """
 
     problems: TechniqueProblem
     atlas: Atlas | None = None
     numbers: Int[Array, " n"] | None = None
+    devices: int = eqx.field(static=True, default=Search.devices)
 
     @classmethod
     def of(cls, problems: Sequence[TechniqueProblem], atlas: Atlas | None, numbers: Sequence[int]) -> "Stack":
@@ -47,16 +51,43 @@ class Stack(eqx.Module):
         bare = [eqx.tree_at(lambda p: p.shadow_map.depth, problem, None) for problem in problems]
         return cls(together(bare), atlas, as_int(numbers))
 
+    @classmethod
+    def on(cls, devices: int, problems: Sequence[TechniqueProblem]) -> "Stack":
+        """Of problems of one structure, as many on each of the `devices`."""
+        each = len(problems) // devices
+        parts = [problems[start : start + each] for start in range(0, len(problems), each)]
+        maps: list[list[Any]] = [list({id(p.shadow_map): p.shadow_map for p in part}.values()) for part in parts]
+        most = max(map(len, maps))
+        if not _has_atlas(problems[0].shadow_map, most):
+            return cls(spread(together(problems), devices), devices=devices)
+        # As many maps on each device.
+        atlas = together([Atlas.of([*own, *own[:1] * (most - len(own))]) for own in maps])
+        places = [{id(one): number for number, one in enumerate(own)} for own in maps]
+        numbers = [place[id(p.shadow_map)] for place, part in zip(places, parts, strict=True) for p in part]
+        bare = [eqx.tree_at(lambda p: p.shadow_map.depth, problem, None) for problem in problems]
+        return cls(*spread((together(bare), atlas, as_int(numbers)), devices), devices=devices)
+
     def difference_and_overflow(self, subject: Any) -> tuple[Float[Array, "n h w"], None]:
         """The differences of all problems. Nothing is drawn that could overflow."""
-        return self._of_each(lambda problem: problem.difference(subject)), None
+        return self._of_each(lambda subject, problem: problem.difference(subject), subject), None
 
     def seen(self, subject: Any) -> tuple[Seen, None]:
         """What a user's loss compares. Nothing is drawn that could overflow."""
-        return self._of_each(lambda problem: problem.seen(subject)[0]), None
+        return self._of_each(lambda subject, problem: problem.seen(subject)[0], subject), None
 
-    def _of_each(self, function: Callable[[TechniqueProblem], Any]) -> Any:
-        """What `function` makes of each problem with its map, along a first axis."""
+    def _of_each(self, function: Callable[[Any, TechniqueProblem], Any], subject: Any) -> Any:
+        """What `function` makes of the subject and each problem with its map, along a first axis."""
+        if self.devices == 1:
+            return self._of_own(function, subject)
+
+        def of_part(subject: Any, part: tuple[TechniqueProblem, Atlas | None, Any]) -> Any:
+            problems, atlas, numbers = part
+            own = None if atlas is None else Atlas(atlas.texels[0], atlas.shape)
+            return Stack(problems, own, numbers)._of_own(function, subject)
+
+        return on_each_device(of_part, subject, (self.problems, self.atlas, self.numbers), self.devices)
+
+    def _of_own(self, function: Callable[[Any, TechniqueProblem], Any], subject: Any) -> Any:
         images, *sides = self.problems.reference.shape
         # Several small ones keep all cores busy, and none is left over, which would be a second program.
         most = max(chunk_size(*_AT_ONCE) // math.prod(sides), 1)
@@ -67,7 +98,7 @@ class Stack(eqx.Module):
             if self.atlas is not None and number is not None:
                 shadow_map: Any = problem.shadow_map
                 problem = dataclasses.replace(problem, shadow_map=self.atlas.reading(shadow_map, number))
-            return function(problem)
+            return function(subject, problem)
 
         return jax.lax.map(of_one, (self.problems, self.numbers), batch_size=at_once)
 
@@ -86,15 +117,19 @@ class Stack(eqx.Module):
         return jax.vmap(lambda problem: problem.count)(self.problems)
 
 
-def stacked(problems: Sequence[AbstractProblem], atlases: Atlases) -> tuple[AbstractProblem | Stack, ...]:
+def stacked(problems: Sequence[AbstractProblem], atlases: Atlases, devices: int) -> tuple[AbstractProblem | Stack, ...]:
     """Fits of a technique that are of one structure as a `Stack`; all other problems as they are.
 
-    **Arguments:** `atlases`: those made so far, which are used again.
+    **Arguments:**
+
+    - `atlases`: those made so far, which are used again.
+    - `devices`: how many devices evaluate a part of each stack. What is left over is a stack that all evaluate.
     """
     alone = tuple(problem for problem in problems if not isinstance(problem, TechniqueProblem))
     own = [problem for problem in problems if isinstance(problem, TechniqueProblem)]
     groups = of_one_structure(own)
-    return (*(group[0] if len(group) == 1 else _stack(group, own, atlases) for group in groups), *alone)
+    stacks = (stack for group in groups for stack in _stacks(group, own, atlases, devices))
+    return (*stacks, *alone)
 
 
 def stacked_order(problems: Sequence[AbstractProblem]) -> list[int]:
@@ -102,13 +137,28 @@ def stacked_order(problems: Sequence[AbstractProblem]) -> list[int]:
     return [number for group in _numbers_of_one_structure(problems) for number in group]
 
 
+def _stacks(
+    group: Sequence[TechniqueProblem], among: Sequence[TechniqueProblem], atlases: Atlases, devices: int
+) -> Iterator[TechniqueProblem | Stack]:
+    spread = len(group) - len(group) % devices if devices > 1 else 0
+    if spread:
+        yield Stack.on(devices, group[:spread])
+    rest = group[spread:]
+    if rest:
+        yield rest[0] if len(rest) == 1 else _stack(rest, among, atlases)
+
+
+def _has_atlas(shadow_map: Any, count: int) -> bool:
+    """Whether so many maps like this one may be in an atlas."""
+    is_plain = isinstance(shadow_map, ShadowMap) and shadow_map.silhouettes is None
+    return is_plain and Atlas.size(count, shadow_map.depth.shape) <= _MAX_TEXELS
+
+
 def _stack(group: Sequence[TechniqueProblem], among: Sequence[TechniqueProblem], atlases: Atlases) -> Stack:
     """The stack of a group, which shares an atlas with all problems whose maps have its size."""
     like = group[0].shadow_map
-    if not isinstance(like, ShadowMap) or like.silhouettes is not None:
-        return Stack(together(group))
     maps: dict[int, Any] = {id(p.shadow_map): p.shadow_map for p in among if _fits(p.shadow_map, like)}
-    if Atlas.size(len(maps), like.depth.shape) > _MAX_TEXELS:
+    if not _has_atlas(like, len(maps)):
         return Stack(together(group))
     numbers = {key: number for number, key in enumerate(maps)}
     if tuple(maps) not in atlases:
@@ -120,7 +170,7 @@ def _stack(group: Sequence[TechniqueProblem], among: Sequence[TechniqueProblem],
     return Stack.of(group, atlas, [numbers[id(problem.shadow_map)] for problem in group])
 
 
-def _fits(shadow_map: Any, like: ShadowMap) -> bool:
+def _fits(shadow_map: Any, like: Any) -> bool:
     """Whether a map may be in one atlas with another."""
     is_plain = isinstance(shadow_map, ShadowMap) and shadow_map.silhouettes is None
     return is_plain and shadow_map.depth.shape == like.depth.shape

@@ -103,7 +103,9 @@ def fit_technique(config: Config, stages: Stages, on_step: Callable[[fit.Step], 
         solver=plan.solver,
         anneal=plan.anneal,
         loss=plan.loss,
-        search=fit.Search(plan.starts, config.seed, plan.blurs, plan.evaluations),
+        search=fit.Search(
+            plan.starts, config.seed, plan.blurs, plan.evaluations, pixels=plan.pixels, devices=plan.devices
+        ),
         sureness=fit.Sureness(plan.within, plan.prefer, plan.tolerance, plan.front),
         on_step=watched,
     )

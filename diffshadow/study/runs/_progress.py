@@ -24,10 +24,12 @@ class Stages:
     """A progress line that vanishes when the work is done. It is shown on a terminal only.
 
     - `seconds`: how long each finished stage took, by name, in order.
+    - `part`: of the work that has the stages, such as `"view 2 of 9"`; empty if there is one.
     """
 
     def __init__(self, console: Console):
         self.seconds: dict[str, float] = {}
+        self.part = ""
         self._progress = Progress(
             SpinnerColumn(finished_text=" "),
             TextColumn("{task.description}"),
@@ -59,6 +61,7 @@ class Stages:
     def show(self, name: str, detail: str = "", done: float | None = None) -> None:
         """Shows the stage `name` with `detail`, and a bar filled to the fraction `done` if that is known."""
         total = None if done is None else 1.0
+        detail = ", ".join(filter(None, (self.part, detail)))
         self._progress.update(self._task, description=escape(name), detail=escape(detail), total=total, completed=done)
 
 

@@ -125,6 +125,8 @@ def _plan(result: fit.FitResult) -> FitPlan:
         starts=max(len(result.starts), 1),
         searches=False,
         evaluations=1,
+        pixels=1,
+        devices=1,
         truth={},
         within=tuple(each.within for each in within),
         prefer=(),

@@ -210,5 +210,19 @@ def trace(
     return reference.Reference(**{**arrays, "samples": int(arrays["samples"])})  # type: ignore[arg-type]
 
 
+def keys_of_references(config: Config, stages: Stages) -> list[str]:
+    """The keys in the cache of the references that are traced for `config`, one for each light; none if they are read
+    from a file, or the scene cannot be built."""
+    if not isinstance(config.reference, TracedReference):
+        return []
+    try:
+        scene, how = load(config, stages).scene, config.reference.how(config.seed)
+        lit = [scene.lit_by(i) for i in range(len(scene.lights))]
+        return [io.cache_key(reference.key_parts(each, **how)) for each in lit]
+    except (ConfigError, ValueError, OSError):
+        # The run reports it.
+        return []
+
+
 def _error(config: Config, path: tuple[str | int, ...], what: str) -> ConfigError:
     return ConfigError([Mistake(config.origin.place(path), ".".join(map(str, path)), what)])

@@ -2,10 +2,11 @@
 
 import dataclasses
 import itertools
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from ... import shadow
-from ...config import Config, ConfigError, Mistake, build_technique
+from ...config import Config, ConfigError, FitView, Mistake, build_technique
 from .._drawn import Drawn
 from ..remarks._scene import scene_remarks
 from ._progress import Stages
@@ -84,12 +85,22 @@ def draw_views(config: Config, loaded: Loaded, technique: shadow.AbstractTechniq
     **Raises** `ConfigError` as `draw` does, for the first view that has a fault.
     """
     own = lambda: [DrawnView("", config, technique, draw(config, loaded, technique, stages, comparing=True))]
-    fitted = [_drawn(view.name, view.config, stages) for view in config.views] or own()
+    fitted = _drawn_in_turn("view", config.views, stages) or own()
     if not any(each.reference.visibility[each.mask].any() for view in fitted for each in view.drawn):
         what = "are dark in all pixels that count, so that there is nothing to compare; expected some in light"
         path = ("fit", "views")
         raise ConfigError([Mistake(config.origin.place(path), ".".join(path), f"{what}; change their lights")])
-    return Views(fitted, [_drawn(view.name, view.config, stages) for view in config.validation])
+    return Views(fitted, _drawn_in_turn("view of validation", config.validation, stages))
+
+
+def _drawn_in_turn(what: str, views: Sequence[FitView], stages: Stages) -> list[DrawnView]:
+    """Draws `views`, and shows how many there are."""
+    found = []
+    for number, view in enumerate(views, start=1):
+        stages.part = f"{what} {number:,} of {len(views):,}"
+        found.append(_drawn(view.name, view.config, stages))
+    stages.part = ""
+    return found
 
 
 def _drawn(name: str, config: Config, stages: Stages) -> DrawnView:

@@ -3,17 +3,23 @@
 Each local worker has one thread, so that one worker per core fills the machine without oversubscribing it.
 """
 
+import importlib.metadata
 import logging
 import os
 import time
 import uuid
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from typing import Any
 
+import jax
+
+from ... import io
 from ..._memory import collect_rarely
 from ..._xla import use_all_cores
+from ._apart import PACKAGE, Returned, work_apart, write_returned
+from ._inputs import Sender
 from ._interrupts import POLL, deferred_interrupts, out_of_reach
 from ._work import FAILED, Batch, Outcome, work, write_outcome
 
@@ -40,6 +46,11 @@ class InProcess:
 
     workers = 1
 
+    @property
+    def programs(self) -> str | None:
+        """The folder of compiled programs, which JAX already uses."""
+        return None
+
     def outcomes(self, batches: Iterable[Batch]) -> Iterator[Outcome]:
         """The outcomes of all runs, in order of completion."""
         for batch in batches:
@@ -54,10 +65,19 @@ class OnCluster:
 
     - `client`: the Dask client.
     - `interrupted`: called while waiting; it raises to stop the sweep.
+    - `apart`: whether workers share no files with this process. Then inputs are sent to them, and what they return is
+        written here.
     """
 
-    def __init__(self, client: Any, interrupted: Callable[[], None] = lambda: None):
+    def __init__(self, client: Any, interrupted: Callable[[], None] = lambda: None, *, apart: bool = False):
         self._client, self._interrupted = client, interrupted
+        self._sender = Sender(client) if apart else None
+        self._checked: set[str] = set()
+
+    @property
+    def programs(self) -> str | None:
+        """The folder of compiled programs that workers use too; none if they have their own."""
+        return None if self._sender else jax.config.jax_compilation_cache_dir
 
     @property
     def workers(self) -> int:
@@ -67,8 +87,8 @@ class OnCluster:
     def outcomes(self, batches: Iterable[Batch]) -> Iterator[Outcome]:
         """The outcomes of all runs, in order of completion. If a worker dies, another one does its runs.
 
-        **Raises** `OSError` if the scheduler or all workers are lost, or if a worker cannot write; `ValueError` if a
-        worker does not have this package.
+        **Raises** `OSError` if the scheduler or all workers are lost, or if a run cannot be written; `ValueError` if a
+        worker does not have this version of the package.
         """
         from distributed import KilledWorker, as_completed
 
@@ -77,7 +97,10 @@ class OnCluster:
         finished = as_completed()
 
         def submit(batch: Batch) -> None:
-            future = self._client.submit(_work_in_worker, batch, key=f"diffshadow-{uuid.uuid4().hex}", pure=False)
+            task: tuple[Any, ...] = (_work_in_worker, batch)
+            if self._sender is not None:
+                task = work_apart, importlib.metadata.version(PACKAGE), *self._sender.of(batch)
+            future = self._client.submit(*task, key=f"diffshadow-{uuid.uuid4().hex}", pure=False)
             waiting[future] = batch
             finished.add(future)
 
@@ -92,7 +115,7 @@ class OnCluster:
                 future = self._next(finished)
                 batch = waiting.pop(future)
                 try:
-                    yield from future.result()
+                    found = future.result()
                 except KilledWorker:
                     if len(batch.runs) == 1:
                         yield _killed(batch)
@@ -105,14 +128,38 @@ class OnCluster:
                         "the Dask scheduler is gone; expected it to run until the sweep ends: start the sweep again, "
                         "and only the missing runs are done"
                     ) from None
-                except ModuleNotFoundError as error:
-                    raise ValueError(
-                        f"a Dask worker cannot import this package ({error}); expected the same version of diffshadow "
-                        "on all workers: install it there"
-                    ) from error
+                except Exception:
+                    # Another version may fail in any way, before it can say so.
+                    self.check_versions(again=True)
+                    raise
+                else:
+                    yield from found if self._sender is None else _written(batch, *found)
                 fill()
         finally:
             self._client.cancel(list(waiting))
+
+    def check_versions(self, *, again: bool = False) -> None:
+        """**Raises** `ValueError` if a worker has another version of this package, or does not have it.
+
+        **Arguments:** `again`: whether to ask workers that were asked before.
+        """
+        here = importlib.metadata.version(PACKAGE)
+        there = set(self._client.nthreads()) - (set() if again else self._checked)
+        if not there:
+            return
+        # A function that each Python has, so that nothing of this package is loaded.
+        found = self._client.run(importlib.metadata.version, PACKAGE, workers=list(there), on_error="return")
+        for address, version in sorted(found.items()):
+            if version != here:
+                has = f"has {PACKAGE} {version}" if isinstance(version, str) else f"does not have {PACKAGE}"
+                if isinstance(version, OSError):
+                    # The worker is gone.
+                    continue
+                raise ValueError(
+                    f"the Dask worker at {address} {has}; expected {here}, as here: install it there "
+                    f"(pip install {PACKAGE}=={here}), then start the sweep again, and only the missing runs are done"
+                )
+        self._checked |= there
 
     def _next(self, finished: Any) -> Any:
         """The next finished future. **Raises** `OSError` if all workers are lost, since Dask would wait forever."""
@@ -129,6 +176,15 @@ class OnCluster:
                     "the missing runs are done"
                 )
         return next(finished)
+
+
+def _written(batch: Batch, runs: Sequence[Returned], references: Mapping[str, bytes]) -> Iterator[Outcome]:
+    """The outcomes of `runs` that were done elsewhere, each after it is written here."""
+    for key, content in references.items():
+        io.keep_content(key, content)
+    for run in runs:
+        write_returned(batch, run)
+        yield run.outcome
 
 
 def _work_in_worker(batch: Batch) -> list[Outcome]:
@@ -149,7 +205,8 @@ def pool(scheduler: str | None, workers: int | None, most: int) -> Iterator[InPr
         are done in this process.
     - `most`: the most local workers to start by default.
 
-    **Raises** `ValueError` if there is no scheduler at the address, or it has no workers.
+    **Raises** `ValueError` if there is no scheduler at the address, it has no workers, or one of them has another
+    version of this package.
     """
     if scheduler is None and workers == 0:
         yield InProcess()
@@ -165,7 +222,10 @@ def pool(scheduler: str | None, workers: int | None, most: int) -> Iterator[InPr
 
         opened = lambda: _local(most, workers) if scheduler is None else _reached(scheduler)
         with out_of_reach(opened, wait) as client:
-            yield OnCluster(client, interrupted)
+            where = OnCluster(client, interrupted, apart=scheduler is not None)
+            if scheduler is not None:
+                where.check_versions()
+            yield where
 
 
 @contextmanager

@@ -27,6 +27,8 @@ _SEED = "seed"
 _ID = re.compile("[0-9a-f]{16}")
 # Far more than any sweep has. A table with more rows is damaged.
 _MAX_RUNS = 1 << 24
+# So many rows are read at a time.
+_ROWS_AT_ONCE = 1 << 16
 # The greatest float32.
 _MOST = float(np.finfo(np.float32).max)
 # The most combinations, pictures of runs, values of an axis, and errors that are shown.
@@ -106,9 +108,8 @@ def _read_table(folder: Path, sweep: SweepConfig) -> Runs:
             if stored.metadata.num_rows > _MAX_RUNS:
                 raise ValueError(f"it has {stored.metadata.num_rows:,} rows; expected at most {_MAX_RUNS:,}")
             _check_columns(stored.schema_arrow, sweep)
-            runs = stored.read().to_pandas()
-        _check_values(runs)
-        return runs
+            parts = [_checked(part) for part in stored.iter_batches(_ROWS_AT_ONCE)]
+            return pd.concat(parts or [stored.schema_arrow.empty_table().to_pandas()], ignore_index=True)
     except Exception as error:  # Arrow raises many types
         reason = " ".join(str(error).split()) or type(error).__name__
         raise io.FileError(f"{file} is damaged ({reason}); expected a sweep's table: sweep again") from error
@@ -130,6 +131,13 @@ def _check_columns(schema: pa.Schema, sweep: SweepConfig) -> None:
                 raise ValueError(f"its column {name} holds {kind}; expected text")
         elif not (numbers(kind) or (name in sweep.axes and (pa.types.is_string(kind) or pa.types.is_boolean(kind)))):
             raise ValueError(f"its column {name} holds {kind}; expected numbers")
+
+
+def _checked(part: pa.RecordBatch) -> Runs:
+    """A part of the rows. **Raises** `ValueError` as `_check_values` does."""
+    runs = part.to_pandas()
+    _check_values(runs)
+    return runs
 
 
 def _check_values(runs: Runs) -> None:

@@ -6,11 +6,11 @@ import itertools
 import json
 import os
 import shlex
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 import pyarrow as pa
 import pyarrow.compute as pc
 from rich.console import Console
@@ -29,7 +29,7 @@ from ._pace import Pace
 from ._pool import pool
 from ._report import report_sweep
 from ._table import MISSING, RESULTS, Tables, gather, metric_columns, write_tables
-from ._work import FAILED, OK, RUNS, Batch, drawing_of, read_outcome, shape_of
+from ._work import FAILED, OK, RUNS, Batch, drawing_of, read_outcome, reference_of, shape_of
 
 SUFFIX = "-sweep"
 """The suffix of a sweep's folder."""
@@ -39,6 +39,8 @@ _LOCK = ".lock"
 _BATCH = 16
 # The least number of batches per worker, so that all workers finish at about the same time.
 _BATCHES_PER_WORKER = 8
+# The keys of so many references are looked up before their runs. It takes about 20 ms for each.
+_FEW_REFERENCES = 256
 # Configurations of runs that are made at a time.
 _MAX_AT_ONCE = 4096
 _MAX_SHOWN = 8
@@ -63,8 +65,9 @@ def run_sweep(
 
     - `sweep`: the sweep.
     - `console`: where results are printed.
-    - `scheduler`: address of a Dask scheduler, whose workers have this package and see the same files; by default local
-        workers are started. They import the calling script, which must do its work under `if __name__ == "__main__"`.
+    - `scheduler`: address of a Dask scheduler, whose workers have this version of the package. They need not see the
+        same files. By default local workers are started. They import the calling script, which must do its work under
+        `if __name__ == "__main__"`.
     - `workers`: number of local worker processes; by default one per core. With 0, the runs are done in this process.
     - `limit`: the most runs to do, starting with the first missing one.
 
@@ -246,7 +249,7 @@ def _work(
     ):
         if pace is not None:
             pace.begin(len(todo), where.workers)
-        outcomes = where.outcomes(_batches(folder, sweep, todo, where.workers))
+        outcomes = where.outcomes(_batches(folder, sweep, todo, where.workers, where.programs))
         for done, outcome in enumerate(outcomes, start=1):
             failed += outcome.status == FAILED
             progress(done, f"{failed} failed" if failed else "")
@@ -254,15 +257,20 @@ def _work(
                 pace.done(done, outcome.seconds)
 
 
-def _batches(folder: Path, sweep: Sweep, todo: Sequence[int], workers: int) -> Iterator[Batch]:
+def _batches(folder: Path, sweep: Sweep, todo: Sequence[int], workers: int, programs: str | None) -> Iterator[Batch]:
     """The runs with the indices `todo`, in batches that share programs and drawings. Made `_MAX_AT_ONCE` at a time."""
     size = max(1, min(_BATCH, len(todo) // (_BATCHES_PER_WORKER * workers)))
     # Workers do not need the lists of values, which may be long.
     settings = sweep.settings.model_copy(update=dict.fromkeys(("list", "grid", "zip", "qmc", "seeds", "plot")))
-    batch = Batch(str(folder), settings, (), jax.config.jax_compilation_cache_dir)
+    batch = Batch(str(folder), settings, (), programs)
     for start in range(0, len(todo), _MAX_AT_ONCE):
         runs = list(sweep.runs.at(todo[start : start + _MAX_AT_ONCE]))
-        yield from (batch._replace(runs=together) for together in _together(runs, size, workers))
+        batches = [batch._replace(runs=together) for together in _together(runs, size, workers)]
+        references = [{reference_of(run.config) for run in each.runs} for each in batches]
+        uses = Counter(text for texts in references for text in texts)
+        for each, texts in zip(batches, references, strict=True):
+            shares = len(uses) <= _FEW_REFERENCES or any(uses[text] > 1 for text in texts)
+            yield each._replace(shares=shares)
 
 
 def _together(runs: Sequence[SweepRun], size: int, workers: int) -> Iterator[tuple[SweepRun, ...]]:

@@ -4,7 +4,6 @@ import dataclasses
 import gc
 import json
 import os
-import socket
 import threading
 import time
 import warnings
@@ -49,22 +48,27 @@ _MAX_SHAPES = 40
 _LIMIT = {"pattern": "sobol", "early_out": False}
 _LIMIT_SEED = 0x11317
 
+# Making one takes half a millisecond.
+_QUIET = Console(quiet=True)
+
 Measured = dict[str, float | int | None]
 
 
 class Batch(NamedTuple):
     """Runs that a worker does one after another.
 
-    - `folder`: the sweep's folder, an absolute path that all workers see.
+    - `folder`: the sweep's folder, an absolute path.
     - `settings`: the sweep's settings.
     - `runs`: the runs to do.
     - `programs`: the folder of compiled programs, if there is one.
+    - `shares`: whether its references are worth sending: other batches have them too, or there are few.
     """
 
     folder: str
     settings: SweepConfig
     runs: tuple[SweepRun, ...]
     programs: str | None = None
+    shares: bool = False
 
 
 class Outcome(NamedTuple):
@@ -78,15 +82,7 @@ class Outcome(NamedTuple):
 
 
 def work(batch: Batch) -> list[Outcome]:
-    """Does the runs of `batch` that are not done yet, and writes a folder for each.
-
-    **Raises** `FileNotFoundError` if the sweep's folder is not visible to this worker.
-    """
-    if not Path(batch.folder).is_dir():
-        raise FileNotFoundError(
-            f"the worker on {socket.gethostname()} has no folder {batch.folder}; expected a file system shared by all "
-            "workers: set output to a folder on one"
-        )
+    """Does the runs of `batch` that are not done yet, and writes a folder for each."""
     if batch.programs is not None:
         # If another worker is writing the same program, it is compiled here too.
         warnings.filterwarnings("ignore", "Error reading persistent compilation cache entry")
@@ -167,6 +163,12 @@ def drawing_of(config: Config) -> str:
     return json.dumps({**data, "filter": config.filter.type}, sort_keys=True)
 
 
+def reference_of(config: Config) -> str:
+    """Everything that a run's reference depends on, and more, as text. Mesh files count by name."""
+    data = config.model_dump(mode="json", warnings=False, include={"scene", "reference", "seed"})
+    return json.dumps(data, sort_keys=True)
+
+
 def _without_reals(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _without_reals(inner) for key, inner in value.items()}
@@ -179,7 +181,7 @@ def _do(batch: Batch, run: SweepRun) -> Outcome:
     """Does one run and writes its folder. An error in the run becomes its outcome."""
     started = time.perf_counter()
     _limit_programs(shape_of(run.config))
-    stages = Stages(Console(quiet=True))
+    stages = Stages(_QUIET)
     try:
         config = _with_figures(batch, run) if batch.settings.figures else run.config
         measured = _MEASURES[batch.settings.run](config, batch, stages)

@@ -1,0 +1,80 @@
+"""Views on several devices, each of which evaluates a part of them."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import AxisType, Mesh, NamedSharding
+from jax.sharding import PartitionSpec as P
+from jaxtyping import Array, Float
+
+_VIEWS = "views"
+
+
+def devices_of(asked: int) -> int:
+    """How many devices to use if `asked` for so many, 0 for all.
+
+    **Raises** `ValueError` if there are fewer.
+    """
+    there = jax.device_count()
+    if asked > there:
+        raise ValueError(
+            f"devices is {asked}, and JAX sees {there} ({jax.default_backend()}); expected at most {there}: lower it, "
+            "or set jax_num_cpu_devices before JAX starts"
+        )
+    return asked or there
+
+
+def spread[T](tree: T, devices: int) -> T:
+    """`tree`, whose arrays have a leading axis for views, with a part of the views on each device."""
+    sharding = NamedSharding(_mesh(devices), P(_VIEWS))
+    return jax.tree.map(lambda leaf: jax.device_put(leaf, sharding), tree)
+
+
+def on_host[T](tree: T) -> T:
+    """`tree` with its arrays in host memory."""
+    return jax.tree.map(np.asarray, tree)
+
+
+def on_each_device(function: Callable[[Any, Any], Any], shared: Any, views: Any, devices: int) -> Any:
+    """What `function` of `shared` and of a device's part of `views` returns, along a first axis of views."""
+    dynamic, static = eqx.partition(shared, eqx.is_array)
+    own = lambda shared, views: function(eqx.combine(shared, static), views)
+    # The loops in `function` do not say which of their values are the same on all devices.
+    split = jax.shard_map(own, mesh=_mesh(devices), in_specs=(P(), P(_VIEWS)), out_specs=P(_VIEWS), check_vma=False)
+    return split(dynamic, views)
+
+
+def compressed(
+    residuals: Sequence[Float[Array, "..."]], slopes: Sequence[Float[Array, "..."]], devices: int
+) -> tuple[Float[Array, " r"], Float[Array, "r p"]]:
+    """Residuals and a Jacobian with few rows, whose sums of squares and products are those of images and their slopes.
+
+    **Arguments:** `residuals`, `slopes`: of each stack, (n, h, w) and (p, n, h, w).
+
+    Each device finds the triangular factor of its own part, so that none has the Jacobian of all views (Demmel et al.,
+    "Communication-optimal parallel and sequential QR and LU factorizations", SIAM Journal on Scientific Computing 34,
+    2012).
+    """
+    found = []
+    for images, stacks in zip(residuals, slopes, strict=True):
+        both = jnp.moveaxis(jnp.concatenate([stacks, images[None]]), 0, -1)
+        parts = both.shape[0]
+        if parts % devices == 0:
+            found.append(on_each_device(lambda _, part: _triangle(part), (), both, devices))
+        else:
+            found.append(_triangle(both))
+    rows = jnp.concatenate(found)
+    return rows[:, -1], rows[:, :-1]
+
+
+def _triangle(both: Float[Array, "n h w q"]) -> Float[Array, "k q"]:
+    return jnp.linalg.qr(both.reshape(-1, both.shape[-1]), mode="r")
+
+
+def _mesh(devices: int) -> Mesh:
+    # JAX finds the shardings of all that follows.
+    return jax.make_mesh((devices,), (_VIEWS,), (AxisType.Auto,), devices=jax.devices()[:devices])

@@ -1,0 +1,110 @@
+"""Runs on a worker that shares no files with the sweep's process.
+
+A batch takes along copies of its inputs, which are known by a hash of their content. The worker writes its runs to a
+folder of its own, and returns the files in it. Their text names paths as the sweep's process does: the worker's folder
+has the sweep's path below a prefix, which is cut out of all that is returned.
+"""
+
+import importlib.metadata
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ... import io
+from ..._memory import collect_rarely
+from ..._xla import use_all_cores
+from ..files._run_folder import remove, write_whole
+from ._work import FIGURES, RUNS, Batch, Outcome, work
+
+PACKAGE = "diffshadow"
+# The folder of copies of input files, in the worker's own.
+_COPIES = "inputs"
+
+
+class Returned(NamedTuple):
+    """A run that was done elsewhere: its outcome, and its files by their paths in the sweep's folder."""
+
+    outcome: Outcome
+    files: Mapping[str, bytes]
+
+
+class WrongVersionError(RuntimeError):
+    """A worker has another version of this package."""
+
+
+def work_apart(
+    version: str,
+    pickled: bytes,
+    contents: Mapping[str, bytes],
+    references: Mapping[str, bytes],
+    missing: Sequence[str],
+) -> tuple[list[Returned], dict[str, bytes]]:
+    """`work` in a worker process that is set up as the command is.
+
+    **Arguments:**
+
+    - `version`: of this package.
+    - `pickled`: a `Batch`, and the hash of each of its input files by path.
+    - `contents`: of these files by hash.
+    - `references`: cached references by their keys; `missing`: the keys of others.
+
+    **Returns** the runs, and the missing references that are cached now.
+
+    **Raises** `WrongVersionError` if this worker has another version.
+    """
+    from distributed import get_worker
+    from distributed.protocol.pickle import loads
+
+    found = importlib.metadata.version(PACKAGE)
+    if found != version:
+        raise WrongVersionError(found)
+    use_all_cores()
+    collect_rarely()
+    io.keep_compiled_programs()
+    prefix = Path(get_worker().local_directory) / PACKAGE
+    copies = {hash: _copied(prefix / _COPIES / hash, content) for hash, content in contents.items()}
+    for key, content in references.items():
+        io.keep_content(key, content)
+    batch, hashes = loads(pickled)
+    folder = Path(f"{prefix}{batch.folder}")
+    folder.mkdir(parents=True, exist_ok=True)
+    with io.reading_copies({path: copies[hash] for path, hash in hashes.items()}):
+        outcomes = work(batch._replace(folder=str(folder)))
+    traced = {key: content for key in missing if (content := io.cached_content(key)) is not None}
+    return [_returned(folder, each, str(prefix)) for each in outcomes], traced
+
+
+def write_returned(batch: Batch, returned: Returned) -> None:
+    """Writes the files of a run to the sweep's folder, each of its folders as a whole."""
+    folders: dict[Path, dict[str, bytes]] = {}
+    for name, content in returned.files.items():
+        above, folder, file = Path(name).parts
+        folders.setdefault(Path(batch.folder) / above / folder, {})[file] = content
+    for folder, files in folders.items():
+
+        def write(draft: Path, files: Mapping[str, bytes] = files) -> None:
+            for name, content in files.items():
+                (draft / name).write_bytes(content)
+
+        if not folder.is_dir():
+            remove(folder)
+        write_whole(folder, write)
+
+
+def _copied(file: Path, content: bytes) -> Path:
+    if not file.exists():
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with io.atomic_path(file) as temporary:
+            temporary.write_bytes(content)
+    return file
+
+
+def _returned(folder: Path, outcome: Outcome, prefix: str) -> Returned:
+    """The run with its files, which are removed here."""
+    files: dict[str, bytes] = {}
+    for place in (folder / RUNS / outcome.id, *sorted((folder / FIGURES).glob(f"{outcome.id}*"))):
+        for file in sorted(place.iterdir()):
+            files[str(file.relative_to(folder))] = file.read_bytes().replace(prefix.encode(), b"")
+        remove(place)
+    error: Any = outcome.error and outcome.error.replace(prefix, "")
+    return Returned(outcome._replace(error=error), files)

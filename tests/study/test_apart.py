@@ -1,0 +1,257 @@
+"""Sweeps on workers that share no files with the command: they have another folder, home and cache."""
+
+import contextlib
+import importlib.metadata
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rich.console import Console
+from scenes import staying_in
+
+from diffshadow import io, study
+from diffshadow.config import load_sweep
+from diffshadow.study.sweeps import _pool
+
+pytestmark = pytest.mark.usefixtures("tiny_figures")
+
+ROOT = Path(__file__).parents[2]
+SWEEP = """
+scene:
+  meshes:
+    - {path: meshes/triangle.gltf, translate: [0, 0.3, 0]}
+    - {path: builtin:plane, options: {size: 3}}
+  camera: {resolution: [16, 16], orbit: {distance: 4}}
+  light: {angular_radius: 1.5}
+shadow_map: {resolution: [16, 16]}
+filter: {samples: 4}
+reference: {samples: 4}
+output: runs
+sweep: {grid: {filter.radius: [1, 2.5]}, repeats: 4}
+"""
+# Reads and writes no file of the command's folder, and leaves small figures.
+PRELOAD = """
+import os, sys
+from pathlib import Path
+forbidden = {forbidden!r}
+
+def refuse(event, arguments):
+    if event in ("open", "os.listdir", "os.scandir", "os.mkdir", "os.rename", "os.remove"):
+        if any(isinstance(path, (str, os.PathLike)) and os.fspath(path).startswith(forbidden) for path in arguments):
+            raise PermissionError(f"{{event}} of {{arguments}}: no file of the command is here")
+
+sys.addaudithook(refuse)
+from diffshadow.study import style
+style.save = lambda figure, path, dpi=None: path.write_bytes(b"")
+"""
+# Runs that take no time.
+QUICK = """
+import time
+from diffshadow.study.sweeps import _work
+
+def measure(config, batch, stages):
+    time.sleep({seconds})
+    errors = dict.fromkeys(("rmse", "mae", "ssim", "false_shadow_rate", "false_light_rate"), 0.25)
+    return {{**errors, "rmse": config.filter.radius / 99, "reference_noise_floor": 0.0, "pixels": 99}}
+
+_work._MEASURES["render"] = measure
+"""
+
+
+@pytest.fixture(autouse=True)
+def apart(tmp_path, monkeypatch):
+    """Each test in a folder of its own, with a mesh of two files."""
+    monkeypatch.setenv("DIFFSHADOW_CACHE", str(tmp_path / "here" / "cache"))
+    (tmp_path / "here" / "meshes").mkdir(parents=True)
+    with staying_in(tmp_path / "here"):
+        Path("s.yaml").write_text(SWEEP)
+        _write_triangle(Path("meshes"))
+        yield
+
+
+def _write_triangle(folder: Path) -> None:
+    corners = np.array([[-0.4, 0, 0], [0.4, 0, 0], [0, 0.6, 0.1]], np.float32)
+    (folder / "corners.bin").write_bytes(corners.tobytes())
+    document = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "buffers": [{"uri": "corners.bin", "byteLength": corners.nbytes}],
+        "bufferViews": [{"buffer": 0, "byteLength": corners.nbytes}],
+        "accessors": [
+            {
+                "bufferView": 0,
+                "componentType": 5126,
+                "count": 3,
+                "type": "VEC3",
+                "min": corners.min(0).tolist(),
+                "max": corners.max(0).tolist(),
+            }
+        ],
+    }
+    (folder / "triangle.gltf").write_text(json.dumps(document))
+
+
+class Elsewhere:
+    """A scheduler, and workers in other folders."""
+
+    def __init__(self, tmp_path: Path, preload: str = ""):
+        from distributed import LocalCluster
+
+        self._folder, self._workers = tmp_path, []
+        self._preload = PRELOAD.format(forbidden=str(tmp_path / "here")) + preload
+        self._cluster = LocalCluster(
+            n_workers=0, processes=False, protocol="tcp://", host="127.0.0.1", dashboard_address="127.0.0.1:0"
+        )
+        self.address = self._cluster.scheduler_address
+
+    def start(self, version: str | None = None) -> subprocess.Popen:
+        """Starts a worker, with another `version` of the package if one is given."""
+        folder = self._folder / f"worker{len(self._workers)}"
+        folder.mkdir()
+        (folder / "preload.py").write_text(self._preload)
+        path = [str(ROOT)]
+        if version is not None:
+            path.insert(0, str(folder / "old"))
+            made = folder / "old" / f"diffshadow-{version}.dist-info"
+            made.mkdir(parents=True)
+            (made / "METADATA").write_text(f"Metadata-Version: 2.1\nName: diffshadow\nVersion: {version}\n")
+        known = {name: os.environ[name] for name in ("PATH", "JAX_COMPILATION_CACHE_DIR") if name in os.environ}
+        command = ["-m", "distributed.cli.dask_worker", self.address, "--nthreads", "1", "--no-dashboard", "--no-nanny"]
+        options = ["--preload", str(folder / "preload.py"), "--local-directory", str(folder)]
+        environment = {
+            **known,
+            "HOME": str(folder),
+            "PYTHONPATH": os.pathsep.join(path),
+            "JAX_DISABLE_MOST_OPTIMIZATIONS": os.environ.get("JAX_DISABLE_MOST_OPTIMIZATIONS", "False"),
+            "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+        }
+        with (folder / "out").open("w") as out:
+            worker = subprocess.Popen(
+                [sys.executable, *command, *options], cwd=folder, env=environment, stdout=out, stderr=subprocess.STDOUT
+            )
+        self._workers.append(worker)
+        return worker
+
+    def wait_for(self, count: int) -> None:
+        """Waits for so many workers."""
+        scheduler: Any = self._cluster.scheduler
+        until(lambda: len(scheduler.workers) >= count)
+
+    def close(self) -> None:
+        """Ends workers and scheduler."""
+        for worker in self._workers:
+            worker.kill()
+            worker.wait()
+        self._cluster.close()
+
+
+def until(true: Callable[[], bool], seconds: float = 60) -> None:
+    """Waits until something is true."""
+    deadline = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+@contextlib.contextmanager
+def elsewhere(tmp_path: Path, workers: int = 0, preload: str = "") -> Iterator[Elsewhere]:
+    """A scheduler with so many workers in other folders."""
+    made = Elsewhere(tmp_path, preload)
+    try:
+        for _ in range(workers):
+            made.start()
+        made.wait_for(workers)
+        yield made
+    finally:
+        made.close()
+
+
+def quiet() -> Console:
+    return Console(quiet=True)
+
+
+def files_in(folder: Path) -> dict[str, bytes]:
+    """The files of runs in a sweep's folder by name, without the times that they took."""
+    found = {str(file.relative_to(folder)): file.read_bytes() for file in folder.glob("*/*/*") if file.is_file()}
+    found["results.parquet"] = (folder / "results.parquet").read_bytes()
+    timeless = lambda content: re.sub(rb'"seconds": {[^}]*}', b"", content)
+    return {
+        name: timeless(content) if name.endswith(".json") else content
+        for name, content in found.items()
+        if name.endswith((".json", ".yaml", ".parquet"))
+    }
+
+
+def both(tmp_path: Path, overrides: list[str], during: Callable[[Elsewhere, Path], None] | None = None, workers=1):
+    """The files of a sweep that is done on workers elsewhere, and in this process."""
+    sweep = load_sweep(Path("s.yaml"), overrides)
+    with elsewhere(tmp_path, workers) as cluster:
+        folder = Path("runs/s-sweep").absolute()
+        thread = threading.Thread(target=during, args=(cluster, folder)) if during else None
+        if thread:
+            thread.start()
+        there = study.run_sweep(sweep, console=quiet(), scheduler=cluster.address)
+        if thread:
+            thread.join()
+    found = files_in(there)
+    there.rename("there")
+    return found, files_in(study.run_sweep(sweep, console=quiet(), workers=0))
+
+
+def test_workers_need_none_of_the_files(tmp_path):
+    there, here = both(tmp_path, [])
+    assert there == here
+    assert sum(b'"status": "ok"' in content for content in there.values()) == 8
+    # The worker traced them, and they are kept here.
+    assert io.cache_size(tmp_path / "here" / "cache")[0] == 4
+
+
+@pytest.mark.exhaustive
+def test_a_worker_with_another_version_is_refused_by_name(tmp_path, monkeypatch):
+    here = importlib.metadata.version("diffshadow")
+    with elsewhere(tmp_path) as cluster:
+        cluster.start(version="0.0.1")
+        cluster.wait_for(1)
+        with pytest.raises(ValueError, match=rf"worker at tcp://\S+ has diffshadow 0\.0\.1; expected {here}"):
+            study.run_sweep(load_sweep(Path("s.yaml")), console=quiet(), scheduler=cluster.address)
+        # One that joins later is asked only when something fails.
+        monkeypatch.setattr(_pool.OnCluster, "check_versions", _only_again(_pool.OnCluster.check_versions))
+        with pytest.raises(ValueError, match=r"has diffshadow 0\.0\.1"):
+            study.run_sweep(load_sweep(Path("s.yaml")), console=quiet(), scheduler=cluster.address)
+
+
+def _only_again(check: Callable[..., None]) -> Callable[..., None]:
+    return lambda self, again=False: check(self, again=True) if again else None
+
+
+@pytest.mark.exhaustive
+def test_figures_of_runs_are_those_of_a_local_sweep(tmp_path):
+    there, here = both(tmp_path, ["sweep.figures=true", "sweep.repeats=1"])
+    assert there == here
+    assert any(name.startswith("figures") and name.endswith(".yaml") for name in there)
+
+
+@pytest.mark.exhaustive
+def test_a_worker_may_be_lost_and_another_may_join(tmp_path):
+    def lose(cluster: Elsewhere, folder: Path) -> None:
+        first = cluster._workers[0]
+        until(lambda: len(list(folder.glob("runs/*/result.json"))) >= 20)
+        first.send_signal(signal.SIGKILL)
+        cluster.start()
+
+    there, here = both(tmp_path, ["sweep.repeats=100"], lose, workers=2)
+    assert there == here
+    assert sum(b'"status": "ok"' in content for content in there.values()) == 200
