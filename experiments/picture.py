@@ -13,6 +13,7 @@ import time
 from typing import Any, NamedTuple
 
 import _common as common
+import jax.numpy as jnp
 import numpy as np
 from cyclopts import App
 from jaxtyping import Float
@@ -72,12 +73,13 @@ def build(resolution: int) -> geometry.Scene:
     placed["sphere"] = (0.5, 0.35, 0, -0.5)
     meshes = []
     for name, (size, *place) in placed.items():
-        mesh = geometry.library_mesh(name).transformed(geometry.translation(np.array(place)) @ geometry.scaling(size))
+        matrix = geometry.translation(jnp.asarray(place, float)) @ geometry.scaling(size)
+        mesh = geometry.library_mesh(name).transformed(matrix)
         meshes.append(dataclasses.replace(mesh, albedo=np.broadcast_to(np.float32(ALBEDO[name]), mesh.faces.shape)))
     eye = geometry.orbit_eye((0, 0.2, 0), 3.5, azimuth=20, elevation=35)
     camera = geometry.PinholeCamera(eye, (0, 0.2, 0), fov_y=40, near=0.5, far=10, resolution=(resolution,) * 2)
-    points = np.concatenate([np.asarray(mesh.vertices) for mesh in meshes])
-    sun = geometry.DirectionalLight.around((-0.6, -1.0, -0.35), points)
+    points = jnp.concatenate([mesh.vertices for mesh in meshes])
+    sun = geometry.DirectionalLight.around(jnp.asarray([-0.6, -1.0, -0.35]), points)
     return geometry.Scene(meshes, camera, sun)
 
 
@@ -87,7 +89,7 @@ def traced(scene: geometry.Scene) -> Float[np.ndarray, "h w 3"]:
     fine = dataclasses.replace(scene.camera, resolution=(RAYS * height, RAYS * width))
     seen = raster.draw_surface(scene.mesh, fine)
     truth = reference.trace_visibility(dataclasses.replace(scene, camera=fine), samples=1)
-    image = np.asarray(shading.Phong()(seen, truth.visibility, scene.light, fine))
+    image = np.asarray(shading.Phong()(seen, jnp.asarray(truth.visibility), scene.light, fine))
     return image.reshape(height, RAYS, width, RAYS, 3).mean(axis=(1, 3))
 
 

@@ -37,7 +37,7 @@ def readme():
 
 
 def test_python_of_the_readme_runs_and_finds_the_sun_where_it_says(readme, capsys):
-    names, (technique, sun, own, saved, traced, far, trimeshes, training) = {}, readme
+    names, (technique, sun, own, saved, traced, far, trimeshes, textured, training) = {}, readme
     exec(technique, names)
     assert "filter.radius" in capsys.readouterr().out
     exec(sun, names)
@@ -55,6 +55,8 @@ def test_python_of_the_readme_runs_and_finds_the_sun_where_it_says(readme, capsy
     exec(trimeshes, names)
     assert len(names["scene"].meshes) == 2
     assert len(names["back"].faces) == len(names["scene"].mesh.faces)
+    exec(textured, names)
+    assert names["card"].textures is not None
     exec(training, names)
     assert names["found"].loss <= names["found"].initial_loss
     assert "float shadow_visibility(" in capsys.readouterr().out

@@ -63,6 +63,10 @@ class PictureReference(Reference):
         int, Limits(1, 8), Unit("camera rays per pixel side"), "camera rays along a pixel's side, without a path"
     ] = 4
 
+    def how(self, seed: int) -> dict[str, Any]:
+        """The arguments of `reference.trace_visibility`, besides the scene, for a run that compares visibility."""
+        return {"samples": self.samples, "seed": seed}
+
 
 class ImageReference(Reference):
     """A reference from an image file."""

@@ -587,7 +587,7 @@ def recovered():
     spans = [(truth[0] + 9, truth[0] - 25, truth[0] + 25), (truth[1] - 7, truth[1] - 20, truth[1] + 20)]
     parameters = [Parameter(path, *span, unit="degrees") for path, span in zip(paths, spans, strict=True)]
     planned = PoseProblem.planned
-    tight = lambda p: dataclasses.replace(p, crossings=1, edges=p._edges())
+    tight = lambda p: dataclasses.replace(p, crossings=1, edges=p.edges_of_casters())
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(PoseProblem, "planned", lambda p: tight(p) if p.crossings is None else planned(p))
         result = fit(one, parameters, search=NARROW)

@@ -156,7 +156,7 @@ def _slopes(number):
     """Of all sums by one of the two: central differences, and derivatives by forward and by reverse mode."""
     with jax.enable_x64(True), pytest.MonkeyPatch.context() as patch:
         drawn, compiled = _compiled()
-        patch.setattr(_projective, "rasterize", lambda *_: drawn)
+        patch.setattr(_projective, "rasterize", lambda *_, **__: drawn)
         middle, step = np.array([3.3, 0.01]), np.array([1e-4, 1e-5])[number]
         at = lambda offset: [np.asarray(x) for x in compiled(middle + offset * np.eye(2)[number])]
         _, forward, backward = at(0.0)

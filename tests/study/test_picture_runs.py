@@ -111,10 +111,14 @@ def test_a_photograph_has_no_truth(tmp_path):
     assert check(given, console=QUIET).triangles == 14
 
 
-def test_a_render_has_no_use_for_a_picture(tmp_path):
-    with pytest.raises(ConfigError, match=r"reference\.type: is picture, to which the command fit alone compares"):
-        study.run_render(config(f"output={tmp_path}"), console=QUIET)
-    assert not list(tmp_path.iterdir())
+def test_a_render_compares_visibility_with_rays(tmp_path):
+    folder = study.run_render(config(f"output={tmp_path}"), console=QUIET)
+    assert read_result(folder)["metrics"]["visibility"]["rmse"] < 0.2
+
+
+def test_a_sweep_of_pictures_is_refused():
+    with pytest.raises(ConfigError, match=r"sweep: is given with reference\.type picture"):
+        config("sweep={grid: {bias.constant: [1, 2]}}")
 
 
 @pytest.fixture(scope="module")

@@ -65,6 +65,11 @@ def run_faults(config: Parts) -> Iterator[Conflict]:
         message = "projects shadows onto meshes that do not cast, and all of scene.meshes cast"
         yield ("technique", "type"), fault(message, "a mesh that does not cast", "set casts: false for the receivers")
     yield from _faults_of_shape(config)
+    if config.reference.type == "picture":
+        for key in ("sweep", "advise"):
+            if getattr(config, key) is not None:
+                what = fault("is given with reference.type picture", "a single fit to a picture", "remove one of them")
+                yield (key,), what
     if config.reference.type == "image" and len(config.scene.each_light) > 1:
         message = f"is a single image, for {len(config.scene.each_light)} lights"
         yield ("reference", "type"), fault(message, "one light, or a traced reference", "set it to traced")

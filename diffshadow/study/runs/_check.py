@@ -9,7 +9,6 @@ from rich.console import Console
 from ... import fit, io, shadow
 from ...config import Config, build_fit, build_technique
 from ...settings.engines import Engine
-from ...settings.reference import TracedReference
 from ...settings.techniques import Mapped
 from ..files._run_folder import folder_of
 from ..pages import _table as table
@@ -90,8 +89,7 @@ def _check_picture(config: Config, console: Console, preview: bool) -> Checked:
         return Checked(triangles)
     with Stages(console) as stages:
         technique = build_technique(config, fitting=False)
-        # A preview needs no reference.
-        seen = see(config.model_copy(update={"reference": TracedReference()}), scene, technique, stages)
+        seen = see(config, scene, technique, stages)
     return Checked(triangles, *_preview(config, technique, seen))
 
 

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ... import fit, geometry, io, metrics, raster
+from ..._arithmetic import as_float
 from ..._types import HostArray
 from ...config import Config, ConfigError, FitPlan, Mistake, build_fit, build_shadow_mapping
 from ...settings.reference import Encoding, PictureReference
@@ -152,7 +153,7 @@ def traced_picture(
     fine = dataclasses.replace(scene, camera=dataclasses.replace(scene.camera, **resolution))
     surface = raster.draw_surface(fine.mesh, fine.camera)
     how = {"samples": max(samples // supersampling**2, 1), "seed": seed}
-    seen: Any = [trace(fine.lit_by(i), how).visibility for i in range(len(fine.lights))]
+    seen = [as_float(trace(fine.lit_by(i), how).visibility) for i in range(len(fine.lights))]
     image = np.asarray(shading(surface, seen, fine.lights, fine.camera))
     return image.reshape(height, supersampling, width, supersampling, 3).mean(axis=(1, 3))
 

@@ -163,9 +163,6 @@ def visibility_of(
 
 def _image(config: Config) -> Float32[HostArray, "h w"] | None:
     """The visibility in the reference's file; `None` if the reference is traced."""
-    if isinstance(config.reference, PictureReference):
-        what = "is picture, to which the command fit alone compares; expected traced or image; change it"
-        raise _error(config, ("reference", "type"), what)
     if not isinstance(config.reference, ImageReference):
         return None
     path = ("reference", "path")
@@ -192,7 +189,7 @@ def _reference(
 
 def _traced(config: Config, scene: geometry.Scene, stages: Stages) -> reference.Reference:
     traced = config.reference
-    assert isinstance(traced, TracedReference)
+    assert isinstance(traced, TracedReference | PictureReference)
     show = lambda done: stages.show("tracing reference", f"{traced.samples} rays per pixel", done)
     return trace(scene, traced.how(config.seed), show)
 
@@ -213,7 +210,7 @@ def trace(
 def keys_of_references(config: Config, stages: Stages) -> list[str]:
     """The keys in the cache of the references that are traced for `config`, one for each light; none if they are read
     from a file, or the scene cannot be built."""
-    if not isinstance(config.reference, TracedReference):
+    if not isinstance(config.reference, TracedReference | PictureReference):
         return []
     try:
         scene, how = load(config, stages).scene, config.reference.how(config.seed)
