@@ -76,8 +76,9 @@ def build(resolution: int) -> geometry.Scene:
         matrix = geometry.translation(jnp.asarray(place, float)) @ geometry.scaling(size)
         mesh = geometry.library_mesh(name).transformed(matrix)
         meshes.append(dataclasses.replace(mesh, albedo=np.broadcast_to(np.float32(ALBEDO[name]), mesh.faces.shape)))
-    eye = geometry.orbit_eye((0, 0.2, 0), 3.5, azimuth=20, elevation=35)
-    camera = geometry.PinholeCamera(eye, (0, 0.2, 0), fov_y=40, near=0.5, far=10, resolution=(resolution,) * 2)
+    target = jnp.asarray([0, 0.2, 0])
+    eye = geometry.orbit_eye(target, 3.5, azimuth=20.0, elevation=35.0)
+    camera = geometry.PinholeCamera(eye, target, fov_y=40, near=0.5, far=10, resolution=(resolution,) * 2)
     points = jnp.concatenate([mesh.vertices for mesh in meshes])
     sun = geometry.DirectionalLight.around(jnp.asarray([-0.6, -1.0, -0.35]), points)
     return geometry.Scene(meshes, camera, sun)
@@ -102,7 +103,7 @@ def recover(scene: geometry.Scene, picture: Float[np.ndarray, "h w 3"], rng: np.
     moved = fit.with_values(
         pose,
         [f"{part}.{x}" for part in ("eye", "turn") for x in "xyz"],
-        np.concatenate([np.asarray(pose.eye.array) + OFF * distance * away, DEGREES_OFF * axis]),
+        jnp.asarray(np.concatenate([np.asarray(pose.eye.array) + OFF * distance * away, DEGREES_OFF * axis])),
     )
     start = dataclasses.replace(scene, camera=scene.camera.at(moved))
     settings = shadow.MapSettings((TEXELS, TEXELS))
