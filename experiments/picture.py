@@ -19,7 +19,7 @@ from cyclopts import App
 from jaxtyping import Float
 from rich.table import Table
 
-from diffshadow import fit, geometry, raster, reference, shading, shadow
+from diffshadow import fit, geometry, shading, shadow, study
 from diffshadow.console import Console
 
 ALBEDO = {"plane": (0.7, 0.6, 0.5), "torus": (0.3, 0.5, 0.8), "box": (0.8, 0.3, 0.2), "sphere": (0.3, 0.7, 0.3)}
@@ -61,7 +61,7 @@ def main(*, starts: int = 20, resolution: int = 128, seed: int = 0) -> list[Outc
     common.expect("resolution", str(resolution), resolution >= 32, "32 or more")
     console, rng = Console(), np.random.default_rng(seed)
     scene = build(resolution)
-    picture = traced(scene)
+    picture = study.traced_picture(scene, shading.Phong(), samples=1, supersampling=RAYS)
     outcomes = [recover(scene, picture, rng) for _ in common.progress(range(starts), "starts", console)]
     console.print(as_table(outcomes))
     return outcomes
@@ -82,16 +82,6 @@ def build(resolution: int) -> geometry.Scene:
     points = jnp.concatenate([mesh.vertices for mesh in meshes])
     sun = geometry.DirectionalLight.around(jnp.asarray([-0.6, -1.0, -0.35]), points)
     return geometry.Scene(meshes, camera, sun)
-
-
-def traced(scene: geometry.Scene) -> Float[np.ndarray, "h w 3"]:
-    """The picture of a scene by rays: the mean over a grid of `RAYS` x `RAYS` in each pixel, linear."""
-    height, width = scene.camera.resolution
-    fine = dataclasses.replace(scene.camera, resolution=(RAYS * height, RAYS * width))
-    seen = raster.draw_surface(scene.mesh, fine)
-    truth = reference.trace_visibility(dataclasses.replace(scene, camera=fine), samples=1)
-    image = np.asarray(shading.Phong()(seen, jnp.asarray(truth.visibility), scene.light, fine))
-    return image.reshape(height, RAYS, width, RAYS, 3).mean(axis=(1, 3))
 
 
 def recover(scene: geometry.Scene, picture: Float[np.ndarray, "h w 3"], rng: np.random.Generator) -> Outcome:

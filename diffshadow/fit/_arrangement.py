@@ -48,11 +48,11 @@ class MeshPose(eqx.Module):
 
         - `vertices`: indices of the vertices that can be moved one by one.
         - `home`: the value of `translate` for the mesh as it stands.
-        - `coloured`: whether its colour can be fitted, in a fit to a picture. It starts at the mean over its faces.
+        - `coloured`: whether its colour can be fitted, in a fit to a picture. A mesh of several colours keeps them.
 
         **Raises** `ValueError` for a vertex that the mesh does not have.
         """
-        points = np.asarray(mesh.vertices)
+        points, albedo = np.asarray(mesh.vertices), np.asarray(mesh.albedo)
         for index in vertices:
             if not 0 <= index < len(points):
                 raise ValueError(f"the mesh has no vertex {index}; expected an index from 0 to {len(points) - 1}")
@@ -63,7 +63,7 @@ class MeshPose(eqx.Module):
             vertices={str(index): Vector(*points[index]) for index in vertices},
             home=home,
             together={str(index): same(index) for index in vertices},
-            albedo=Colour(*np.asarray(mesh.albedo).mean(axis=0)) if coloured else None,
+            albedo=Colour(*albedo[0]) if coloured and (albedo == albedo[0]).all() else None,
         )
 
     @eqx.filter_jit
@@ -118,8 +118,7 @@ class Arrangement(eqx.Module):
         exposure: float,
     ) -> "Arrangement":
         """Everything in a picture of `scene` as it stands. Meshes of one colour have an `albedo`."""
-        is_plain = [bool((np.asarray(mesh.albedo) == np.asarray(mesh.albedo)[0]).all()) for mesh in scene.meshes]
-        meshes = [MeshPose.of(mesh, coloured=plain) for mesh, plain in zip(scene.meshes, is_plain, strict=True)]
+        meshes = [MeshPose.of(mesh, coloured=True) for mesh in scene.meshes]
         return cls.of(technique, scene.lights, meshes).pictured(scene, shading, exposure)
 
     def pictured(self, scene: Scene, shading: AbstractShading, exposure: float) -> "Arrangement":

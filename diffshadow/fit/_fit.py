@@ -167,11 +167,7 @@ def fit(
     offsets, given, parameters = [p.offset for p in parameters], tuple(parameters), [p.counted() for p in parameters]
     spread = starts_within(fitted, as_float([p.initial for p in parameters]), search.starts, search.seed)
     joint = joint.each(lambda problem: problem.planned())
-    if (devices := devices_of(search.devices)) > 1:
-        if joint.moves:
-            raise ValueError(
-                f"devices is {devices}, and lights or meshes move; expected 1: only fits of a technique are shared"
-            )
+    if (devices := devices_of(search.devices, moves=joint.moves)) > 1:
         # The program of a step puts a part on each device.
         joint = dataclasses.replace(joint.each(on_host), devices=devices)
     phases = phases_of(joint, fitted.paths, anneal, search.blurs, search.pixels)

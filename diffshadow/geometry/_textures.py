@@ -138,7 +138,7 @@ class Textures(eqx.Module):
         return eqx.tree_at(lambda one: one.uv, self, self.uv[:, ::-1])
 
     def followed_by(self, other: "Textures") -> "Textures":
-        """The textures of these faces and then of those of `other`, which has the same texels."""
+        """These textures with the faces of `other` added behind their own. Both have the same texels."""
         xp = array_module(self.uv, other.uv, self.index)
         pairs = (self.uv, other.uv), (self.index, other.index)
         joined = [as_array(xp.concatenate(pair)) for pair in pairs]

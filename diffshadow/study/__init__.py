@@ -13,6 +13,7 @@ from .runs._check import check as check
 from .runs._convert import convert
 from .runs._fit import fit_technique as fit_technique
 from .runs._fit import run_fit
+from .runs._picture import traced_picture as traced_picture
 from .runs._pose import pose_problems as pose_problems
 from .runs._progress import Stages as Stages
 from .runs._render import run_render

@@ -61,6 +61,7 @@ def test_an_arrangement_of_a_picture_names_camera_colours_and_exposure():
     two = dataclasses.replace(BOX, albedo=BOX.albedo.at[0].set(0.1))
     mixed = dataclasses.replace(SCENE, meshes=[FLOOR, two])
     assert fit.Arrangement.of_picture(TECHNIQUE, mixed, shading.Phong(), 0.0).meshes[1].albedo is None
+    assert fit.MeshPose.of(two, coloured=True).albedo is None
 
 
 def test_a_mesh_takes_the_colour_of_its_pose():

@@ -227,7 +227,7 @@ def test_a_worker_with_another_version_is_refused_by_name(tmp_path, monkeypatch)
         cluster.wait_for(1)
         with pytest.raises(ValueError, match=rf"worker at tcp://\S+ has diffshadow 0\.0\.1; expected {here}"):
             study.run_sweep(load_sweep(Path("s.yaml")), console=quiet(), scheduler=cluster.address)
-        # One that joins later is asked only when something fails.
+        # The command asks a worker that joins later only when something fails.
         monkeypatch.setattr(_pool.OnCluster, "check_versions", _only_again(_pool.OnCluster.check_versions))
         with pytest.raises(ValueError, match=r"has diffshadow 0\.0\.1"):
             study.run_sweep(load_sweep(Path("s.yaml")), console=quiet(), scheduler=cluster.address)

@@ -104,6 +104,11 @@ def test_pictures_of_other_sizes_and_masks_without_pixels_are_reported(tmp_path)
     assert "there is no file" in mistakes("reference.path=missing.png")
 
 
+def test_devices_that_are_not_there_are_reported_before_anything_is_drawn():
+    with Stages(QUIET) as stages, pytest.raises(ConfigError, match=r"fit\.devices: devices is 400, and JAX sees"):
+        picture_plan(config("fit.devices=400"), stages)
+
+
 def test_a_photograph_has_no_truth(tmp_path):
     np.save(tmp_path / "picture.npy", np.zeros((32, 32, 3), np.float32))
     given = config(f"reference.path={tmp_path / 'picture.npy'}")

@@ -11,7 +11,7 @@ from ._plugins import COLON
 
 
 def input_files(config: Config) -> list[Path]:
-    """The absolute paths of the meshes and images that a run of `config` reads, with those of its views."""
+    """The absolute paths of all meshes and images that `config` and its views read."""
     return list(dict.fromkeys(_files(config)))
 
 

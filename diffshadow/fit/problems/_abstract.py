@@ -1,11 +1,13 @@
 """What a fit needs to know of a problem."""
 
 import abc
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
 from jaxtyping import Array, Float
 
+from ..._arithmetic import array_module, as_array
 from ..._types import Resolution
 from ...shadow import FittableTechnique, Overflow
 from .._own_loss import Seen
@@ -75,3 +77,10 @@ class AbstractProblem(eqx.Module):
     @abc.abstractmethod
     def padded(self) -> "AbstractProblem":
         """With its meshes padded to few sizes, so that problems of like size share compiled programs."""
+
+
+def any_overflow(found: Sequence[Overflow | None]) -> Overflow:
+    """Whether memory was short in any of several drawings; those that cannot overflow are none."""
+    known = [each for each in found if each is not None]
+    xp = array_module(*known)
+    return as_array(xp.any(xp.asarray(known, bool)))

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from ..._types import Resolution, Scalar
 from ...geometry import AbstractCamera, AbstractLight, Edges, Mesh, Scene, View
 from ...raster import Surface
-from ...shadow import MapSettings, Overflow, ShadowMap, ShadowMapping, plan_crossings
+from ...shadow import MapSettings, ShadowMap, ShadowMapping, plan_crossings
 from .._arrangement import Arrangement
 from ._abstract import AbstractProblem
 from ._blur import blurred
@@ -144,10 +144,9 @@ class ArrangedProblem(AbstractProblem):
         return [mesh if pose.vertices else mesh.padded() for mesh, pose in pairs]
 
 
-def any_overflow(found: Sequence[Overflow | None]) -> Overflow | None:
-    """Whether memory was short in any of several drawings; none if none of them can tell."""
-    known = [each for each in found if each is not None]
-    return jnp.any(jnp.stack(known)) if known else None
+def with_silhouettes(settings: MapSettings) -> MapSettings:
+    """With silhouettes, unless the settings are against them."""
+    return dataclasses.replace(settings, silhouettes=settings.silhouettes is not False)
 
 
 @eqx.filter_jit

@@ -1,4 +1,4 @@
-"""Views on several devices, each of which evaluates a part of them."""
+"""Splits the views of a fit among several devices."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -14,16 +14,20 @@ from jaxtyping import Array, Float
 _VIEWS = "views"
 
 
-def devices_of(asked: int) -> int:
-    """How many devices to use if `asked` for so many, 0 for all.
+def devices_of(asked: int, *, moves: bool = False) -> int:
+    """How many devices a fit uses if `asked` for so many, 0 for all.
 
-    **Raises** `ValueError` if there are fewer.
+    **Raises** `ValueError` if there are fewer, or for more than one where lights or meshes move (`moves`).
     """
     there = jax.device_count()
     if asked > there:
         raise ValueError(
             f"devices is {asked}, and JAX sees {there} ({jax.default_backend()}); expected at most {there}: lower it, "
             "or set jax_num_cpu_devices before JAX starts"
+        )
+    if moves and (asked or there) > 1:
+        raise ValueError(
+            f"devices is {asked or there}, and lights or meshes move; expected 1: only fits of a technique are shared"
         )
     return asked or there
 
@@ -51,7 +55,7 @@ def on_each_device(function: Callable[[Any, Any], Any], shared: Any, views: Any,
 def compressed(
     residuals: Sequence[Float[Array, "..."]], slopes: Sequence[Float[Array, "..."]], devices: int
 ) -> tuple[Float[Array, " r"], Float[Array, "r p"]]:
-    """Residuals and a Jacobian with few rows, whose sums of squares and products are those of images and their slopes.
+    """A residual vector and a Jacobian with few rows. They have the same normal equations as the images and slopes.
 
     **Arguments:** `residuals`, `slopes`: of each stack, (n, h, w) and (p, n, h, w).
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..._arithmetic import array_module, as_array
+from ..._arithmetic import as_array
 from ..._checks import check_again, check_instance
 from ..._types import Scalar
 from ...settings.fit import Search
@@ -17,7 +17,7 @@ from ...shadow import AbstractCompare, FittableTechnique, HardCompare, Overflow
 from .._loss import Errors, Loss
 from .._own_loss import LossFunction, OwnLoss, Seen
 from .._parameters import Parameters, parameter_names, resolve
-from ._abstract import AbstractProblem
+from ._abstract import AbstractProblem, any_overflow
 from ._stack import Atlases, stacked, stacked_order
 
 Samples = dict[tuple[int, int], tuple[Any, Any]]
@@ -93,7 +93,7 @@ class Joint(eqx.Module):
         """
         found = [each.difference_and_overflow(subject) for each in self.problems]
         images = tuple(_scaled(self.loss, own, each.count) for (own, _), each in zip(found, self.problems, strict=True))
-        return images, _any_of([overflow for _, overflow in found if overflow is not None])
+        return images, any_overflow([overflow for _, overflow in found])
 
     def compared(self, differences: Images) -> Images:
         """The part of all differences that the fit makes small."""
@@ -111,7 +111,7 @@ class Joint(eqx.Module):
         if compared:
             images = [_compared(each, seen) for each, seen in zip(self.problems, images, strict=True)]
         assert self.own is not None
-        return [_rows(self.own, seen) for seen in images], _any_of([each for _, each in found if each is not None])
+        return [_rows(self.own, seen) for seen in images], any_overflow([each for _, each in found])
 
     @property
     def shares(self) -> Errors:
@@ -314,11 +314,6 @@ def multiplied(images: Images, factors: Errors) -> Images:
     """Each image times its factor."""
     ends = np.cumsum([len(each) for each in images])
     return tuple(each * factors[end - len(each) : end, None, None] for each, end in zip(images, ends, strict=True))
-
-
-def _any_of(overflows: Sequence[Overflow]) -> Overflow:
-    xp = array_module(*overflows)
-    return as_array(xp.any(xp.asarray(overflows, bool)))
 
 
 def check_problem(joint: Joint, parameters: Parameters) -> None:

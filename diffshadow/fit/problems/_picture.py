@@ -10,14 +10,15 @@ from jaxtyping import Array, Bool, Float
 from ..._arithmetic import as_float
 from ..._types import Scalar
 from ...geometry import AbstractCamera, AbstractLight, Edges, Mesh, Scene
-from ...raster import AntialiasedSurface, AntialiasPlan, draw_antialiased, plan_antialiasing
+from ...raster import AntialiasedSurface, AntialiasPlan, draw_antialiased, draw_surface, plan_antialiasing
 from ...settings.fit import BLUR
 from ...settings.reference import Encoding, PictureReference
 from ...shading import AbstractShading, Phong, to_srgb
 from ...shadow import MapSettings, Overflow, ShadowMap, ShadowMapping
 from .._arrangement import Arrangement
 from .._own_loss import Seen
-from ._arranged import ArrangedProblem, any_overflow, weighted_difference
+from ._abstract import any_overflow
+from ._arranged import ArrangedProblem, weighted_difference, with_silhouettes
 
 # There is memory for so many times the outlines' pieces at the start. If others need more, phases are repeated.
 _MORE_PIECES = 2.0
@@ -110,7 +111,7 @@ class PictureProblem(ArrangedProblem):
             reference=jnp.where(counts[..., None], reference, 0),
             weight=as_float(counts),
             encoding=encoding,
-            settings=dataclasses.replace(technique.map, silhouettes=technique.map.silhouettes is not False),
+            settings=with_silhouettes(technique.map),
             surface=surface,
         )
         # Now rather than in `padded`: edges then need no other numbers.
@@ -173,16 +174,19 @@ class PictureProblem(ArrangedProblem):
     def planned(self) -> "PictureProblem":
         """With memory for several times the outlines and silhouettes of its arrangement, and no less than before."""
         casters, lights, every, camera = _arranged(self.scene, self.arrangement)
-        edges, plan, seen = self.edges_of_casters(), self.plan, self.surface
-        if seen is None:
+        edges, plan, surface = self.edges_of_casters(), self.plan, None
+        if self.surface is not None:
+            surface = self.surface.centres
+        else:
             plan = _larger(plan_antialiasing(every, camera, margin=_MORE_PIECES), self.plan)
-            seen = draw_antialiased(every, camera, plan)
+            if self.arrangement.technique.layout.needs_surface:
+                surface = draw_surface(every, camera)
         planned = dataclasses.replace(self, plan=plan, edges=edges)
         if edges is None:
             return planned
         before = (None,) * len(lights) if self.crossings is None else self.crossings
         crossings = [
-            self.planned_crossings(casters, light, camera, seen.centres, most)
+            self.planned_crossings(casters, light, camera, surface, most)
             for light, most in zip(lights, before, strict=True)
         ]
         return dataclasses.replace(planned, crossings=tuple(crossings))
@@ -202,7 +206,7 @@ def _larger(plan: AntialiasPlan, before: AntialiasPlan | None) -> AntialiasPlan:
     return dataclasses.replace(plan, pieces=max(plan.pieces, before.pieces), mixed=max(plan.mixed, before.mixed))
 
 
-def _overflow(maps: list[ShadowMap], seen: AntialiasedSurface) -> Overflow | None:
+def _overflow(maps: list[ShadowMap], seen: AntialiasedSurface) -> Overflow:
     return any_overflow([seen.overflow, *(each.overflow for each in maps)])
 
 

@@ -16,7 +16,7 @@ from ...settings.fit import BLUR
 from ...shadow import MapSettings, Overflow, ShadowMap, ShadowMapping
 from .._arrangement import Arrangement
 from .._own_loss import Seen
-from ._arranged import ArrangedProblem, points_of, weighted_difference
+from ._arranged import ArrangedProblem, points_of, weighted_difference, with_silhouettes
 
 
 class PoseProblem(ArrangedProblem):
@@ -89,7 +89,7 @@ class PoseProblem(ArrangedProblem):
             index=light,
             reference=reference,
             weight=jnp.asarray(truth.mask, reference.dtype),
-            settings=dataclasses.replace(technique.map, silhouettes=technique.map.silhouettes is not False),
+            settings=with_silhouettes(technique.map),
             surface=surface,
         )
 

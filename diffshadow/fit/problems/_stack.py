@@ -150,8 +150,7 @@ def _stacks(
 
 def _has_atlas(shadow_map: Any, count: int) -> bool:
     """Whether so many maps like this one may be in an atlas."""
-    is_plain = isinstance(shadow_map, ShadowMap) and shadow_map.silhouettes is None
-    return is_plain and Atlas.size(count, shadow_map.depth.shape) <= _MAX_TEXELS
+    return _is_plain(shadow_map) and Atlas.size(count, shadow_map.depth.shape) <= _MAX_TEXELS
 
 
 def _stack(group: Sequence[TechniqueProblem], among: Sequence[TechniqueProblem], atlases: Atlases) -> Stack:
@@ -172,8 +171,11 @@ def _stack(group: Sequence[TechniqueProblem], among: Sequence[TechniqueProblem],
 
 def _fits(shadow_map: Any, like: Any) -> bool:
     """Whether a map may be in one atlas with another."""
-    is_plain = isinstance(shadow_map, ShadowMap) and shadow_map.silhouettes is None
-    return is_plain and shadow_map.depth.shape == like.depth.shape
+    return _is_plain(shadow_map) and shadow_map.depth.shape == like.depth.shape
+
+
+def _is_plain(shadow_map: Any) -> bool:
+    return isinstance(shadow_map, ShadowMap) and shadow_map.silhouettes is None
 
 
 def of_one_structure[P](problems: Sequence[P]) -> list[list[P]]:

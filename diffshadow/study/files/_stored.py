@@ -22,7 +22,7 @@ SHAPE = "shape"
 PICTURE = "picture"
 """The kind of a fit to a picture."""
 PICTURE_STATES = ("reference", "before", "after")
-"""The names of its arrays: what it is fitted to, and what was drawn before and after."""
+"""The names of its arrays: the picture that the fit compares with, and the pictures drawn before and after the fit."""
 SWEEP = "sweep"
 """The kind of a folder that holds many runs."""
 ADVISE = "advise"

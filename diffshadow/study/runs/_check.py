@@ -7,7 +7,7 @@ import numpy as np
 from rich.console import Console
 
 from ... import fit, io, shadow
-from ...config import Config, build_fit, build_technique
+from ...config import Config, build_technique
 from ...settings.engines import Engine
 from ...settings.techniques import Mapped
 from ..files._run_folder import folder_of
@@ -19,6 +19,7 @@ from ._render import SUFFIX
 from ._setup import SeenScene, check_comparable, load, see
 from ._shade import shade_lit
 from ._shape import shape_problem
+from ._solve import plan_fit
 
 PREVIEW = "-preview.png"
 """What follows the configuration's name in the name of a preview."""
@@ -56,7 +57,7 @@ def check(config: Config, *, console: Console, preview: bool = False) -> Checked
         scene, remarks = load(config, stages)
         technique = build_technique(config, fitting=False)
         if fits:
-            build_fit(config, scene)
+            plan_fit(config, scene)
         seen = see(config, scene, technique, stages)
         # Of several views, some may be dark.
         if fits and config.fit.views is None:

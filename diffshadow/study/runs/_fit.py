@@ -8,7 +8,7 @@ from rich.console import Console
 
 from ... import fit, shadow
 from ..._arithmetic import as_array, as_float
-from ...config import Config, FitPlan, build_fit, build_fittable
+from ...config import Config, build_fittable
 from .._drawn import Drawn
 from ..files._run_folder import folder_of
 from ..pages import _table as table
@@ -25,6 +25,7 @@ from ._picture import run_picture
 from ._progress import Stages
 from ._setup import load
 from ._shape import run_shape
+from ._solve import plan_fit, solve
 from ._views import draw_views
 from ._write_fit import write_fit
 
@@ -81,7 +82,7 @@ def run_fit(config: Config, *, console: Console) -> Path:
 def fit_technique(config: Config, stages: Stages, on_step: Callable[[fit.Step], None] | None = None) -> FittedRun:
     """Fits the parameters of `config`, and measures the images before and after; `on_step` as in `fit.fit`."""
     loaded = load(config, stages)
-    plan, technique = build_fit(config, loaded.scene), build_fittable(config)
+    plan, technique = plan_fit(config, loaded.scene), build_fittable(config)
     views = draw_views(config, loaded, technique, stages)
     drawn = views.drawn
     if plan.arrangement is None:
@@ -89,27 +90,7 @@ def fit_technique(config: Config, stages: Stages, on_step: Callable[[fit.Step], 
     else:
         problems = poses.problems_of(plan, loaded.scene, drawn)
         drawn = poses.with_references_of(problems, drawn)
-    stages.show("compiling")
-    watch = _watch(stages, plan)
-
-    def watched(step: fit.Step) -> None:
-        watch(step)
-        if on_step is not None:
-            on_step(step)
-
-    result = fit.fit(
-        problems[: views.seen],
-        plan.parameters,
-        solver=plan.solver,
-        anneal=plan.anneal,
-        loss=plan.loss,
-        search=fit.Search(
-            plan.starts, config.seed, plan.blurs, plan.evaluations, pixels=plan.pixels, devices=plan.devices
-        ),
-        sureness=fit.Sureness(plan.within, plan.prefer, plan.tolerance, plan.front),
-        on_step=watched,
-    )
-    stages.seconds |= {"compiling": result.seconds_compiling, "fitting": result.seconds_running}
+    result = solve(problems[: views.seen], plan, config.seed, stages, on_step)
     with stages.stage("measuring"):
         (before, after), seen = states_of(plan, result, problems, drawn)
         errors_before, errors_after = (list(map(record.measured, images, drawn)) for images in (before, after))
@@ -129,17 +110,3 @@ def fit_technique(config: Config, stages: Stages, on_step: Callable[[fit.Step], 
 def _problem(technique: shadow.FittableTechnique, drawn: Drawn) -> fit.TechniqueProblem:
     truth, mask = as_float(drawn.reference.visibility), as_array(drawn.mask)
     return fit.TechniqueProblem(technique, drawn.state, drawn.surface, truth, mask, drawn.scene)
-
-
-def _watch(stages: Stages, plan: FitPlan) -> Callable[[fit.Step], None]:
-    phases = None if plan.arrangement is not None or plan.searches else plan.anneal.phases
-
-    def show(step: fit.Step) -> None:
-        at = f"phase {step.phase + 1}" + (f" of {phases}" if phases else "")
-        start = f"start {step.start + 1} of {plan.starts}, " if plan.starts > 1 else ""
-        error = f"RMSE {max(step.loss, 0) ** 0.5:.5f}" if isinstance(plan.loss, fit.Loss) else f"loss {step.loss:.5g}"
-        detail = f"{start}{at}, step {step.step}, {error}"
-        fraction = step.phase / phases if phases else (step.start / plan.starts if plan.starts > 1 else None)
-        stages.show("fitting", detail, fraction)
-
-    return show

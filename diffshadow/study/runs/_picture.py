@@ -1,7 +1,6 @@
 """Runs a fit to a picture: from its configuration to its folder."""
 
 import dataclasses
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,7 +12,7 @@ from rich.table import Table
 from ... import fit, geometry, io, metrics, raster
 from ..._arithmetic import as_float
 from ..._types import HostArray
-from ...config import Config, ConfigError, FitPlan, Mistake, build_fit, build_shadow_mapping
+from ...config import Config, ConfigError, FitPlan, Mistake, build_shadow_mapping
 from ...settings.reference import Encoding, PictureReference
 from ...shading import AbstractShading, to_srgb
 from ..files._run_folder import folder_of, write_whole
@@ -23,6 +22,7 @@ from . import _pose as poses
 from . import _record as record
 from ._progress import Stages
 from ._setup import load, trace
+from ._solve import plan_fit, solve
 
 Picture = Float[HostArray, "h w 3"]
 SCENE = "fitted.glb"
@@ -61,18 +61,7 @@ def run_picture(config: Config, *, console: Console) -> Path:
     with Stages(console) as stages:
         problem, planned = picture_problem(config, stages)
         plan = planned.fit
-        stages.show("compiling")
-        result = fit.fit(
-            problem,
-            plan.parameters,
-            solver=plan.solver,
-            anneal=plan.anneal,
-            loss=plan.loss,
-            search=fit.Search(plan.starts, config.seed, plan.blurs, plan.evaluations),
-            sureness=fit.Sureness(plan.within, plan.prefer, plan.tolerance, plan.front),
-            on_step=_watch(stages),
-        )
-        stages.seconds |= {"compiling": result.seconds_compiling, "fitting": result.seconds_running}
+        result = solve([problem], plan, config.seed, stages)
         with stages.stage("measuring"):
             fitted = _finished(config.name, config, plan, result, planned.remarks)
         with stages.stage("writing"):
@@ -109,14 +98,14 @@ def picture_plan(config: Config, stages: Stages) -> PicturePlan:
     assert isinstance(section, PictureReference)
     loaded = load(config, stages)
     scene = _with_spare_depth(config, loaded.scene)
-    plan = build_fit(config, scene)
+    plan = plan_fit(config, scene)
     picture, encoding = (None, "linear") if section.path is None else _picture(config, section.path)
     mask = None if section.mask is None else _mask(config, section.mask)
     return PicturePlan(scene, plan, picture, section.encoding or encoding, mask, [*loaded.remarks])
 
 
 def picture_problem(config: Config, stages: Stages) -> tuple[fit.PictureProblem, PicturePlan]:
-    """The problem of `config`, whose reference is a picture, and what it is made of.
+    """The problem that brings `config` to its picture, and the plan behind it.
 
     **Raises** `ConfigError` for a mistake in the configuration, before any ray is traced.
     """
@@ -184,7 +173,8 @@ def _finished(
     assert arrangement is not None
     parameters = result.parameters
     start = fit.with_parameters(problem.arrangement, parameters, [result.initial[p.name] for p in parameters])
-    at = lambda subject: np.asarray(dataclasses.replace(problem, arrangement=subject).planned().picture(subject))
+    # The fit judged both, so there is memory for their outlines.
+    at = lambda subject: np.asarray(problem.picture(subject))
     pictures = {"reference": np.asarray(problem.reference), "before": at(start), "after": at(arrangement)}
     mask = np.asarray(problem.weight) > 0
     remarks = [*remarks, *_remarks(result)]
@@ -281,15 +271,6 @@ def _print(console: Console, fitted: FittedPicture, measured: dict[str, Any], se
     poses.print_poses(console, fitted.plan, fitted.result)
     table.print_lines(console, fitted.remarks, warn=True)
     table.print_lines(console, [f"{fitted.result.steps} steps, {seconds:.1f} s in all"])
-
-
-def _watch(stages: Stages) -> Callable[[fit.Step], None]:
-    def show(step: fit.Step) -> None:
-        start = f"start {step.start + 1}, " if step.start else ""
-        error = f"RMSE {max(step.loss, 0) ** 0.5:.5f}"
-        stages.show("fitting", f"{start}phase {step.phase + 1}, step {step.step}, {error}")
-
-    return show
 
 
 def _with_spare_depth(config: Config, scene: geometry.Scene) -> geometry.Scene:
