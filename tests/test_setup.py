@@ -48,6 +48,7 @@ assert jax.config.jax_compilation_cache_dir == sys.argv[1]
 """
 
 
+@pytest.mark.exhaustive
 def test_importing_starts_no_backend_and_leaves_its_flags_alone_until_all_cores_are_asked_for():
     without = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
     subprocess.run([sys.executable, "-W", "error", "-c", FRESH], env=without, check=True)

@@ -143,6 +143,7 @@ def test_a_saved_fit_calls_a_users_loss_by_its_name(least_absolute, tmp_path):
     assert stored["solver"]["name"] == "optimistix' BFGS"
 
 
+@pytest.mark.exhaustive
 def test_gradients_of_a_number_are_reported_truly(least_absolute, known):
     result, _ = least_absolute
     phase = result.phases[-1]

@@ -268,6 +268,7 @@ def test_lights_that_miss_their_screen_and_starts_without_a_shadow_are_refused(w
         check_shape(ShapeProblem(away, views), PHASES)
 
 
+@pytest.mark.exhaustive
 def test_a_state_of_another_fit_is_refused(views):
     problem = ShapeProblem(sphere(), views)
     stopped = fit_shape(problem, PHASES, on_step=lambda step: step.step == 3)

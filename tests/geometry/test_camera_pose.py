@@ -65,6 +65,7 @@ def test_a_pose_moves_the_eye_and_changes_the_field_of_view():
     np.testing.assert_allclose(np.linalg.norm(moved.target - moved.eye), np.linalg.norm(np.subtract(EYE, TARGET)))
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", ["pinhole", "matrix"])
 def test_a_point_in_the_image_moves_by_its_closed_form_as_the_camera_turns(name):
     """A pinhole camera's point (x, y, -d) moves by y: dx/dθ = (d² + x²) / d² · f for a turn to the left, at the middle

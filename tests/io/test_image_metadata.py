@@ -212,6 +212,7 @@ def test_an_animation_is_refused(tmp_path):
         read_visibility(tmp_path / "a.png")
 
 
+@pytest.mark.exhaustive
 def test_damage_anywhere_in_a_png_is_refused_or_harmless(tmp_path):
     """Bytes changed or cut out, under right checksums; nothing but `FileError` and `ImageWarning` comes of it."""
     rng = np.random.default_rng(0)

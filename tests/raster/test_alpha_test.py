@@ -33,6 +33,7 @@ def drawn(name):
     return golden, (jnp.asarray(clip), jnp.asarray(faces), golden["winner"].shape), textures
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", ["fences", "behind_the_eye", "leaves"])
 def test_pixels_are_cut_out_as_by_opengl(name):
     golden, given, textures = drawn(name)

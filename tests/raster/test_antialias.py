@@ -218,6 +218,7 @@ def test_derivative_is_that_of_a_supersampled_picture(name):
     assert np.linalg.norm(found - np.array(slopes)) < 0.06 * np.linalg.norm(slopes)
 
 
+@pytest.mark.exhaustive
 def test_values_at_centres_extend_to_the_nearest_surface():
     """Of a bright card before a dark one, points on both sides of the outline have their own card's albedo."""
     grey = lambda mesh, value: eqx.tree_at(lambda m: m.albedo, mesh, jnp.full((2, 3), value))
@@ -236,6 +237,7 @@ def extended_albedo(mesh, planned):
     return seen.surface.albedo, seen.extend(seen.centres.albedo)
 
 
+@pytest.mark.exhaustive
 def test_a_plan_that_is_too_small_is_an_error():
     mesh = quad((0, 0, 0), (0.5, 0.2, 0), (-0.2, 0.5, 0))
     planned = plan_antialiasing(mesh, FRONT)

@@ -5,7 +5,7 @@ import functools
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import LAMP, LIGHTS, SLANTED, fence, fence_over_floor, marked, side_camera
+from scenes import LAMP, LIGHTS, SLANTED, fence, fence_over_floor, side_camera
 
 from diffshadow.geometry import DirectionalLight, OrthographicCamera, PointLight, Scene, merge
 from diffshadow.raster import draw_surface
@@ -43,6 +43,7 @@ def surface():
     return draw_surface(scene().mesh, CAMERA)
 
 
+@pytest.mark.exhaustive
 def test_rays_pass_through_what_is_cut_out_as_pixels_do():
     seen, truth = np.asarray(surface().face), traced().face
     assert np.mean(seen == truth) >= 0.999
@@ -52,7 +53,8 @@ def test_rays_pass_through_what_is_cut_out_as_pixels_do():
     assert np.mean(whole != truth) > 0.03
 
 
-@pytest.mark.parametrize("light", marked(["directional", "spot", "point"], exhaustive={"spot", "point"}))
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("light", ["directional", "spot", "point"])
 def test_shadows_of_gaps_are_lit_by_rays_in_single_and_double_precision_and_by_points(light):
     truth, exact = traced(light), trace_visibility_exact(scene(light))
     dark = (truth.visibility == 0) & (truth.face < 2) & truth.mask

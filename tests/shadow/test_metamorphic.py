@@ -154,6 +154,7 @@ ROWS = {
 RARE = (
     *("three.js, basic", "three.js, variance", "Babylon.js, cube"),
     *("pages", "warp", "soft shadows", "cascades", "cube", "three.js, spot", "three.js, cube", "cascades by interval"),
+    "Babylon.js",
 )
 # These compile a program of their own.
 COSTLY = ("map exchanged", "light copied")

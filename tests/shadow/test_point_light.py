@@ -224,6 +224,7 @@ def near_outline(truth, pixels):
     return ndimage.maximum_filter(truth, window) != ndimage.minimum_filter(truth, window)
 
 
+@pytest.mark.exhaustive
 def test_hard_shadows_in_a_closed_room_agree_with_rays(room, room_images):
     surface, shadow_map, truth = room_images
     assert 0.7 < truth.mean() < 0.95

@@ -248,7 +248,8 @@ def test_levels_on_a_ground_follow_the_closed_form():
     assert (lower[level(light) > 0] == 1).mean() > 0.8
 
 
-@pytest.mark.parametrize("norm", ["worst", pytest.param("area", marks=pytest.mark.exhaustive)])
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("norm", ["worst", "area"])
 def test_no_texel_is_larger_than_a_pixel_where_memory_suffices(norm):
     (scene, surface), layout = ground(), layout_of(norm)
     light = pages_for(scene, surface, layout)

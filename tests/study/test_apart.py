@@ -211,6 +211,7 @@ def both(tmp_path: Path, overrides: list[str], during: Callable[[Elsewhere, Path
     return found, files_in(study.run_sweep(sweep, console=quiet(), workers=0))
 
 
+@pytest.mark.exhaustive
 def test_workers_need_none_of_the_files(tmp_path):
     there, here = both(tmp_path, [])
     assert there == here

@@ -116,6 +116,7 @@ def test_a_photograph_has_no_truth(tmp_path):
     assert check(given, console=QUIET).triangles == 14
 
 
+@pytest.mark.exhaustive
 def test_a_render_compares_visibility_with_rays(tmp_path):
     folder = study.run_render(config(f"output={tmp_path}"), console=QUIET)
     assert read_result(folder)["kind"] == "render"

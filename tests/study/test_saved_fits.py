@@ -65,6 +65,7 @@ def seen():
     return dataclasses.replace(problem, reference=TECHNIQUE.visibility(problem.shadow_map, problem.surface))
 
 
+@pytest.mark.exhaustive
 def test_a_saved_fit_is_a_run_like_the_commands(seen, tmp_path):
     result = result_of(seen, "bias.constant", 40.0, 0.5)
     folder = study.save_fit(result, tmp_path / "mine", names=["the card"])

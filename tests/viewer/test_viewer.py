@@ -114,6 +114,7 @@ def test_every_number_that_can_be_fitted_has_a_slider_with_its_unit_and_the_boun
     assert {"technique.type", "filter.type", "shadow_map.cull", "bias.plane.type"} <= {p.key for p in subject.pickers}
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     "overrides",
     [

@@ -187,6 +187,7 @@ def own_light(golden):
     return DirectionalLight(direction, center, [right - left, top - bottom], light["shadowMinZ"], light["shadowMaxZ"])
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     "name", ["directional_none_bias", "directional_pcf_frustum_falloff", "directional_pcf_overhead", "spot_pcf_bias"]
 )
