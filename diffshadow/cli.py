@@ -317,6 +317,44 @@ def convert(config: Path, /, *overrides: str) -> None:
 
 
 @app.command
+def defaults(
+    *,
+    filter: str | None = None,
+    radius: float | None = None,
+    engine: EngineName | None = None,
+    map: int | None = None,
+    window: float | None = None,
+    depth: float | None = None,
+) -> None:
+    """Prints rules of thumb: biases that hold over many scenes, and what they cost against a fit.
+
+    Example: `diffshadow defaults --filter random_disk --radius 3`
+
+    Example: `diffshadow defaults --engine godot --map 2048 --window 40 --depth 100`
+
+    Parameters
+    ----------
+    filter
+        Type of a filter, such as pcf, whose bias is printed as a part of a configuration.
+    radius
+        Its radius in texels.
+    engine
+        Engine whose settings are printed, for its default filter and a directional light.
+    map
+        Texels along a side of the engine's map.
+    window
+        How wide the light's shadow camera is, in world units.
+    depth
+        Its far plane less its near plane, in world units.
+    """
+    from . import study
+
+    study.print_defaults(
+        console=Console(), filter=filter, radius=radius, engine=engine, size=map, window=window, depth=depth
+    )
+
+
+@app.command
 def sweep(
     config: Path,
     /,

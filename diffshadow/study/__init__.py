@@ -27,6 +27,7 @@ __all__ = [
     "convert",
     "engine_advice",
     "import_scene",
+    "print_defaults",
     "report",
     "run_advise",
     "run_fit",
@@ -38,6 +39,7 @@ __all__ = [
 if TYPE_CHECKING:
     from .advice._advise import print_advise_plan as print_advise_plan
     from .advice._advise import run_advise
+    from .advice._defaults import print_defaults
     from .advice._engines import engine_advice
     from .pages._colours import difference_colours as difference_colours
     from .pages._colours import marked as marked
@@ -55,6 +57,7 @@ _ON_USE = {
     "print_advise_plan": ".advice._advise",
     "run_advise": ".advice._advise",
     "engine_advice": ".advice._engines",
+    "print_defaults": ".advice._defaults",
 }
 
 

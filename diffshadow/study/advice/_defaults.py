@@ -1,0 +1,196 @@
+"""Rules of thumb for biases: what to type where nothing is fitted."""
+
+import difflib
+from collections.abc import Mapping
+from types import SimpleNamespace
+
+from rich.console import Console
+from rich.table import Table
+
+from ...geometry import DirectionalLight
+from ...settings import filters, rules
+from ...settings.engines import ENGINES, EngineName
+from ...settings.quantities import FARTHEST, MAX_TEXELS
+from ...settings.rules import Worth
+from ...shadow import engine_settings
+from ..pages import _table as table
+from ._formula_engines import FORMULA_ENGINES
+
+_KERNELS: Mapping[str, type[filters.Filter]] = {
+    each.type: each
+    for each in (
+        filters.Nearest,
+        filters.Bilinear,
+        filters.FourTap,
+        filters.PercentageCloser,
+        filters.Tent,
+        filters.Castano,
+        filters.RandomDisk,
+    )
+}
+"""Filters whose taps are compared one by one, as far as a known reach."""
+# The filter of each engine that its rule was measured with, as in `FORMULA_ENGINES`.
+_MEASURED: Mapping[EngineName, str] = {
+    "three.js": "PCFShadowMap",
+    "babylon.js": "FILTER_PCF, QUALITY_HIGH",
+    "godot": "Soft Low",
+    "bevy": "Gaussian",
+    "filament": "PCF",
+    "unity": "Soft, Medium",
+}
+
+
+def print_defaults(
+    *,
+    console: Console,
+    filter: str | None = None,
+    radius: float | None = None,
+    engine: EngineName | None = None,
+    size: int | None = None,
+    window: float | None = None,
+    depth: float | None = None,
+) -> None:
+    """Prints the biases that hold over many scenes, and what they are worth.
+
+    **Arguments:**
+
+    - `filter`, `radius`: a filter's type and its radius in texels. Its bias is printed as a part of a configuration.
+    - `engine`: whose settings are printed instead, for its default filter under a directional light.
+    - `size`, `window`, `depth`: of the engine's map: its side in texels, and how wide and deep the light's camera is,
+        in world units.
+
+    **Raises** `ValueError` for a filter without a rule, and for options that do not go together.
+    """
+    of_map = {"map": size, "window": window, "depth": depth}
+    if engine is None:
+        _refuse("engine", "the map of an engine", of_map)
+        if filter is None:
+            _refuse("filter", "a filter's", {"radius": radius})
+            _print_all(console)
+        else:
+            _print_filter(filter, radius, console)
+        return
+    if filter is not None or radius is not None:
+        raise ValueError(f"--engine {engine} is given with a filter; expected one of them: its default filter is used")
+    missing = [f"--{name}" for name, value in of_map.items() if value is None]
+    if size is None or window is None or depth is None:
+        raise ValueError(
+            f"--engine {engine} is given without {' and '.join(missing)}; expected all of --map, --window and --depth: "
+            "an engine's units depend on them"
+        )
+    for name, value, most in (("map", size, MAX_TEXELS), ("window", window, FARTHEST), ("depth", depth, FARTHEST)):
+        if not 0 < value <= most:
+            raise ValueError(f"--{name} is {value:g}; expected more than 0 and at most {most:g}; change it")
+    _print_engine(engine, size, window, depth, console)
+
+
+def _refuse(needed: str, of: str, given: Mapping[str, float | None]) -> None:
+    names = [f"--{name}" for name, value in given.items() if value is not None]
+    if names:
+        raise ValueError(f"{names[0]} is given without --{needed}; expected both, since it is of {of}")
+
+
+# --- Filters ---
+
+
+def _print_all(console: Console) -> None:
+    made = Table("filter", "constant", "slope", "normal offset", "price", "acne", "leaks")
+    for name, rule in rules.FILTER_RULES.items():
+        numbers = (f"{value:g}" for value in (rule.constant, rule.slope, rule.normal_offset))
+        made.add_row(name, *numbers, *_cells(rule.worth))
+    console.print(made)
+    table.print_lines(
+        console,
+        [
+            f"for a filter that reaches r texels: constant {rules.CONSTANT:g}, slope {rules.SLOPE_PER_TEXEL:g} r, "
+            f"normal offset {rules.NORMAL_OFFSET:g}; {_sentence(rules.FORMULA_WORTH)}",
+            f"with a bias from the receiver's plane: constant {rules.PLANE_CONSTANT:g} (1 + r)",
+            f"price: the mean error over that of the best bias for each of {rules.SCENES} scenes; acne, leaks: the "
+            "share of scenes where more than a thousandth of the light is wrongly missing, or there",
+            "for a filter: diffshadow defaults --filter random_disk --radius 3",
+            "for an engine: diffshadow defaults --engine godot --map 2048 --window 40 --depth 100",
+        ],
+    )
+
+
+def _print_filter(name: str, radius: float | None, console: Console) -> None:
+    if name not in _KERNELS:
+        near = difflib.get_close_matches(name, _KERNELS, n=1)
+        mend = f"did you mean {near[0]}?" if near else "fit the others with diffshadow fit"
+        raise ValueError(f"--filter is {name}, which has no rule; expected {', '.join(_KERNELS)}; {mend}")
+    kind = _KERNELS[name]
+    if radius is not None and "radius" not in kind.each():
+        raise ValueError(f"--radius is given with {name}, which has none; expected a filter that has one; leave it out")
+    if radius is not None and not 0 <= radius <= rules.MAX_REACH:
+        raise ValueError(
+            f"--radius is {radius:g}; expected 0 to {rules.MAX_REACH:g} texels, where the rule was measured; change it"
+        )
+    reach = kind.reach_of(kind if radius is None else SimpleNamespace(radius=radius))
+    constant, slope, offset = rules.bias_for(reach)
+    size = f", radius: {radius:g}" if radius is not None else ""
+    numbers = f"constant: {constant:.3g}, slope: {slope:.3g}, normal_offset: {offset:.3g}"
+    lines = [f"filter: {{type: {name}{size}}}", f"bias: {{{numbers}}}  # texels"]
+    table.print_code(console, f"for a filter that reaches {reach:g} texels:", "\n".join(lines))
+    table.print_lines(console, [_sentence(rules.FORMULA_WORTH)])
+    if reach >= 1:
+        with_plane = f"bias: {{plane: {{type: receiver_plane}}, constant: {rules.plane_constant_for(reach):.3g}}}"
+        table.print_code(console, "or, with less error and more work:", with_plane)
+
+
+# --- Engines ---
+
+
+def _print_engine(engine: EngineName, size: int, window: float, depth: float, console: Console) -> None:
+    rule, texel = rules.ENGINE_RULES[engine], window / size
+    light = DirectionalLight((0.0, -1.0, 0.0), (0.0, 0.0, 0.0), (window, window), 0.0, depth)
+    known = FORMULA_ENGINES.get(engine)
+    chosen = None if known is None else next(each for each in known.filters if each.label == _MEASURED[engine])
+    radius = 1.0
+    if chosen is not None:
+        radius = float(chosen.section.get("radius", 1.0)) if chosen.softness is None else chosen.softness
+    found = engine_settings(
+        light, (size, size), rule.constant * texel, rule.normal_offset, 1.0, power=1, softness=radius
+    )
+    values = {
+        each.setting: float(each.value) for each in found if each.engine == ENGINES[engine] and each.value is not None
+    }
+    if known is None or chosen is None:
+        lines = _exact_lines(engine, values, size)
+    else:
+        lines = known.write(values, chosen, radius, size, "directional")
+    title = f"{ENGINES[engine]}, {_MEASURED[engine]}: {rule.constant:g} texels towards the light"
+    if rule.normal_offset:
+        title += f", and {rule.normal_offset:g} along the normal"
+    table.print_code(console, f"{title}; a texel is {texel:.4g} world units wide", "\n".join(lines))
+    table.print_lines(
+        console,
+        [
+            _sentence(rule.worth),
+            f"what {ENGINES[engine]} ships: {_sentence(rule.shipped)}",
+            *([] if known is None else [f"read from {ENGINES[engine]}'s sources, and not verified against the engine"]),
+            "for a scene of yours: diffshadow advise CONFIG --engine " + engine,
+        ],
+    )
+
+
+def _exact_lines(engine: EngineName, values: Mapping[str, float], size: int) -> list[str]:
+    if engine == "three.js":
+        return [
+            f"light.shadow.mapSize.set({size}, {size});",
+            *(f"{name} = {value + 0.0:.4g};" for name, value in values.items()),
+        ]
+    return [
+        f"const generator = new BABYLON.ShadowGenerator({size}, light);",
+        "generator.usePercentageCloserFiltering = true;",
+        f"generator.bias = {values['generator.bias (PCF)']:.4g};",
+        f"generator.normalBias = {values['generator.normalBias']:.4g};",
+    ]
+
+
+def _cells(worth: Worth) -> list[str]:
+    return [f"{worth.price:.2f}", f"{worth.acne:.0%}", f"{worth.leaks:.0%}"]
+
+
+def _sentence(worth: Worth) -> str:
+    price, acne, leaks = _cells(worth)
+    return f"price {price}, acne in {acne} of the scenes, leaks in {leaks}"

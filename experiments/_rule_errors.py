@@ -1,0 +1,268 @@
+"""Errors of many biases in one scene, for each filter, and of the shadows that engines draw by default."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import _common as common
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from scipy import ndimage
+
+from diffshadow import fit, geometry, raster, reference, shadow
+
+CONSTANT = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.5, 7.0, 10.0, 15.0)
+SLOPE = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 5.0)
+OFFSET = (0.0, 0.5, 1.0, 2.0, 3.5)
+"""The biases that are tried, in texels: all combinations."""
+
+PLANE = "receiver plane"
+NEGLIGIBLE = 2e-3
+"""An error that nobody sees: ratios of smaller ones say nothing."""
+TAPS = 16
+
+
+class Filtered(NamedTuple):
+    """A filter, and half the width of its kernel in texels."""
+
+    filter: shadow.AbstractFilter
+    reach: float
+
+
+FILTERS: dict[str, Filtered] = {
+    "nearest": Filtered(shadow.Nearest(), 0.0),
+    "bilinear": Filtered(shadow.Bilinear(), 0.5),
+    "pcf 3x3": Filtered(shadow.PercentageCloser(1.5), 1.5),
+    "pcf 5x5": Filtered(shadow.PercentageCloser(2.5), 2.5),
+    "disk 2": Filtered(shadow.RandomDisk(2.0, shadow.vogel(TAPS)), 2.5),
+    "disk 4": Filtered(shadow.RandomDisk(4.0, shadow.vogel(TAPS)), 4.5),
+    "disk 8": Filtered(shadow.RandomDisk(8.0, shadow.vogel(TAPS)), 8.5),
+}
+"""Taps of a disk are bilinear, and reach half a texel further."""
+WITH_PLANE = ("pcf 5x5", "disk 4", "disk 8")
+"""The filters that are also measured with the bias from the receiver's plane."""
+
+
+class Shipped(NamedTuple):
+    """What an engine draws by default.
+
+    - `filter`, `reach`: as in `Filtered`; the filter is None where the engine's own technique draws.
+    - `engine`: its name in `engine_settings`; `constant`, `offset`: its settings of the two biases, and `values` what
+      it ships for them.
+    - `softness`: as for `engine_settings`.
+    """
+
+    filter: shadow.AbstractFilter | None
+    reach: float
+    engine: str
+    constant: str
+    offset: str
+    values: tuple[float, float]
+    softness: float = 1.0
+
+
+_LOW = shadow.GODOT_QUALITIES["SOFT_LOW"]
+ENGINES: dict[str, Shipped] = {
+    "three.js": Shipped(None, 2.5, "three.js", "light.shadow.bias", "light.shadow.normalBias", (0.0, 0.0)),
+    "babylon.js": Shipped(None, 2.5, "Babylon.js", "generator.bias (PCF)", "generator.normalBias", (5e-5, 0.0)),
+    "godot": Shipped(
+        shadow.RandomDisk(_LOW.radius, shadow.vogel(_LOW.taps)),
+        _LOW.radius + 0.5,
+        "Godot 4",
+        "shadow_bias",
+        "shadow_normal_bias",
+        (0.1, 2.0),
+        _LOW.radius,
+    ),
+    "bevy": Shipped(shadow.Castano(5), 2.5, "Bevy", "shadow_depth_bias", "shadow_normal_bias", (0.02, 1.8)),
+    "filament": Shipped(shadow.Castano(3), 1.5, "Filament", "constantBias", "normalBias", (0.001, 1.0)),
+    "unity": Shipped(shadow.Tent(2.5), 2.5, "Unity URP", "shadowBias (depth)", "shadowNormalBias", (1.0, 1.0), 2.5),
+}
+"""Engines, by the names that the command takes, and what they ship."""
+
+_PATHS = ("bias.constant.value", "bias.slope.value", "bias.normal_offset.value")
+
+
+class _Seen(eqx.Module):
+    """The truth of a scene: (h, w).
+
+    - `inside`: the pixels that count; `lit`, `dark`: those that are wholly lit or dark, out of a kernel's reach of
+      others.
+    """
+
+    truth: jax.Array
+    inside: jax.Array
+    lit: jax.Array
+    dark: jax.Array
+
+
+class Drawn(NamedTuple):
+    """A scene, what its camera sees, and the truth."""
+
+    scene: geometry.Scene
+    surface: raster.Surface
+    truth: reference.Reference
+    resolution: tuple[int, int]
+
+
+def measure(settings: Any) -> dict[str, np.ndarray]:
+    """Errors of all biases in one scene, by names of filters and engines.
+
+    **Returns** arrays (biases, 3) of the root mean square error, the share of the light that is wrongly missing (acne)
+    and the share that is wrongly there (leaks), each beyond a kernel's reach of a shadow's outline. Biases are in the
+    order of `grid_of`. `shipped NAME` is (3,), what an engine draws by default; `units NAME` is (2,), its two settings
+    for a bias and a normal offset of one texel. `scene` has the numbers that describe the scene, in the order of
+    `DESCRIBED`.
+    """
+    case = common.draw(settings)
+    drawn = Drawn(case.scene, case.surface, case.truth, settings.shadow_map.resolution)
+    plain = shadow.ShadowMapping(shadow.Nearest(), shadow.Bias(), map=shadow.MapSettings(drawn.resolution))
+    shadow_map = plain.prepare(drawn.scene, drawn.surface)
+    covered = np.asarray(plain.covered(shadow_map, drawn.surface)) & drawn.truth.mask
+    pixels = _pixels_per_texel(plain, shadow_map, drawn)
+    found: dict[str, np.ndarray] = {}
+    for name, (chosen, reach) in FILTERS.items():
+        seen = seen_by(drawn.truth, covered, reach * pixels)
+        found[name] = grid_errors(_technique(chosen), grid_of(name), shadow_map, drawn.surface, seen)
+        if name in WITH_PLANE:
+            name = f"{name} {PLANE}"
+            found[name] = grid_errors(_technique(chosen, plane=True), grid_of(name), shadow_map, drawn.surface, seen)
+    for name, shipped in ENGINES.items():
+        found |= _of_engine(name, shipped, drawn, shadow_map, covered, pixels)
+    found["scene"] = _described(settings, drawn, shadow_map, covered, pixels)
+    return {name: np.asarray(values, np.float32) for name, values in found.items()}
+
+
+def grid_of(name: str) -> np.ndarray:
+    """The biases that are tried, (n, 3): constant, slope and normal offset."""
+    slopes: Sequence[float] = (0.0,) if name.endswith(PLANE) or name in ENGINES else SLOPE
+    offsets: Sequence[float] = (0.0,) if name.endswith(PLANE) or name == "babylon.js" else OFFSET
+    return np.array([(c, s, n) for c in CONSTANT for s in slopes for n in offsets], np.float32)
+
+
+def _technique(chosen: shadow.AbstractFilter, *, plane: bool = False, profile: Any = "sine") -> shadow.ShadowMapping:
+    offset = shadow.NormalOffset(0.0, profile=profile)
+    bias = shadow.Bias(0.0, 0.0, offset, plane=shadow.ReceiverPlane() if plane else None)
+    return shadow.ShadowMapping(chosen, bias)
+
+
+@eqx.filter_jit
+def _scores(technique: Any, shadow_map: Any, surface: raster.Surface, seen: _Seen) -> jax.Array:
+    """Root mean square error, acne and leaks."""
+    visibility = technique.visibility(shadow_map, surface)
+    count = jnp.maximum(jnp.sum(seen.inside), 1)
+    squares = jnp.where(seen.inside, (visibility - seen.truth) ** 2, 0)
+    acne, leaks = jnp.where(seen.lit, 1 - visibility, 0), jnp.where(seen.dark, visibility, 0)
+    return jnp.stack([jnp.sqrt(jnp.sum(squares) / count), jnp.sum(acne) / count, jnp.sum(leaks) / count])
+
+
+@eqx.filter_jit
+def _grid_scores(technique: Any, paths: Any, grid: jax.Array, shadow_map: Any, surface: Any, seen: _Seen) -> jax.Array:
+    one = lambda numbers: _scores(fit.with_values(technique, paths, numbers), shadow_map, surface, seen)
+    return lax.map(one, grid)
+
+
+def grid_errors(technique: Any, grid: np.ndarray, shadow_map: Any, surface: raster.Surface, seen: _Seen) -> np.ndarray:
+    return np.asarray(_grid_scores(technique, _PATHS, jnp.asarray(grid), shadow_map, surface, seen))
+
+
+def seen_by(truth: reference.Reference, covered: np.ndarray, footprint: float) -> _Seen:
+    """Pixels out of a kernel's reach of others, which is `footprint` pixels on the screen."""
+    width = 2 * min(max(1, math.ceil(footprint)), 24) + 1
+    image = np.asarray(truth.visibility)
+    near = lambda region: np.asarray(ndimage.maximum_filter(covered & ~region, size=width, mode="constant"), bool)
+    within = lambda region: region & ~near(region)
+    lit, dark = within(covered & (image >= 1 - 1e-6)), within(covered & (image <= 1e-6))
+    return _Seen(jnp.asarray(image), *(jnp.asarray(each) for each in (covered, lit, dark)))
+
+
+def _pixels_per_texel(plain: shadow.ShadowMapping, shadow_map: Any, drawn: Drawn) -> float:
+    """How long nearly all texels are at most on the screen."""
+    extents = plain.aliasing(shadow_map, drawn.surface, drawn.scene.camera)
+    mask = np.asarray(extents.mask)
+    return float(np.quantile(np.asarray(extents.extent)[mask], 0.9)) if mask.any() else 1.0
+
+
+# --- Engines ---
+
+
+def _of_engine(
+    name: str, shipped: Shipped, drawn: Drawn, shadow_map: shadow.ShadowMap, covered: np.ndarray, pixels: float
+) -> dict[str, np.ndarray]:
+    """What an engine draws by default, and with each bias; nothing under a light that it does not have."""
+    units = _units(shipped, drawn, shadow_map)
+    if units is None:
+        return {}
+    if shipped.filter is None:
+        # The engines' shading makes these dark, whatever their shadows are. Ours are dark there themselves.
+        covered = covered & (np.asarray(shadow.receiver(shadow_map, drawn.surface).cosine) > 0)
+    seen = seen_by(drawn.truth, covered, shipped.reach * pixels)
+    # A setting in texels; the settings of three.js are negative.
+    own = [value / unit if unit else 0.0 for value, unit in zip(shipped.values, units, strict=True)]
+    grid = grid_of(name)
+    if shipped.filter is not None:
+        technique = _technique(shipped.filter, profile=shadow.OFFSET_PROFILES[shipped.engine])
+        both = np.concatenate([grid, [[own[0], 0.0, own[1]]]])
+        errors = grid_errors(technique, both, shadow_map, drawn.surface, seen)
+    else:
+        technique = _engine_technique(name, drawn.resolution)
+        state = technique.prepare(drawn.scene, drawn.surface)
+        paths = ("bias", "normal_bias")[: 1 if name == "babylon.js" else 2]
+        numbers = np.concatenate([grid[:, [0, 2]] * units, [shipped.values]])[:, : len(paths)]
+        errors = np.asarray(_grid_scores(technique, paths, jnp.asarray(numbers), state, drawn.surface, seen))
+    return {name: errors[:-1], f"shipped {name}": errors[-1], f"units {name}": np.array(units)}
+
+
+def _engine_technique(name: str, resolution: tuple[int, int]) -> Any:
+    if name == "three.js":
+        return shadow.ThreeJs(resolution=resolution)
+    return shadow.BabylonJs(filter="PCF", resolution=resolution)
+
+
+def _units(shipped: Shipped, drawn: Drawn, shadow_map: shadow.ShadowMap) -> tuple[float, float] | None:
+    """An engine's two settings for a bias and a normal offset of one texel at the median receiver."""
+    receivers = shadow.receiver(shadow_map, drawn.surface)
+    mask = np.asarray(drawn.surface.mask)
+    texel = float(np.median(np.asarray(receivers.texel_size)[mask]))
+    light = drawn.scene.light
+    away = np.asarray(drawn.surface.position)[mask] - np.asarray(getattr(light, "position", np.zeros(3)))
+    direction = getattr(light, "direction", None)
+    along = np.abs(away).max(axis=1) if direction is None else away @ np.asarray(direction)
+    distance = max(float(np.median(along)), 1e-9)
+    softness = shipped.softness if light.is_directional or shipped.engine != "Godot 4" else 1.0
+    try:
+        settings = shadow.engine_settings(light, drawn.resolution, texel, 1.0, distance, power=1, softness=softness)
+    except ValueError:
+        return None
+    values = {each.setting: each.value for each in settings if each.engine == shipped.engine}
+    if values.get(shipped.constant) is None:
+        return None
+    return float(values[shipped.constant] or 0.0), float(values.get(shipped.offset) or 0.0)
+
+
+# --- What a scene is like ---
+
+DESCRIBED = ("texels", "pixels_per_texel", "steepness", "elevation", "lit", "dark", "perspective")
+"""A map's side; how long a texel is on the screen; the median slope of receivers against the light; the light's height
+in degrees; shares of pixels that are lit and dark; whether the light has a position."""
+
+
+def _described(
+    settings: Any, drawn: Drawn, shadow_map: shadow.ShadowMap, covered: np.ndarray, pixels: float
+) -> np.ndarray:
+    receivers, image = shadow.receiver(shadow_map, drawn.surface), np.asarray(drawn.truth.visibility)
+    cosine = np.clip(np.asarray(receivers.cosine)[covered & (image > 0)], 1e-3, 1)
+    steepness = float(np.median(np.sqrt(1 / cosine**2 - 1))) if cosine.size else 0.0
+    light = settings.scene.light
+    elevation = float(getattr(light, "elevation", None) or 90.0)
+    shares = [float(np.mean(image[covered] > 0.5)), float(np.mean(image[covered] <= 0.5))]
+    directional = drawn.scene.light.is_directional
+    return np.array([drawn.resolution[0], pixels, steepness, elevation, *shares, 0.0 if directional else 1.0])
+
+
+def describe(values: np.ndarray) -> Mapping[str, float]:
+    """The numbers of a scene by name."""
+    return dict(zip(DESCRIBED, map(float, values), strict=True))

@@ -1,0 +1,91 @@
+"""Figures of a collection of scenes, and of what rules are worth over it."""
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import _collection as collection
+import _common as common
+import _rule_errors as errors
+import numpy as np
+from matplotlib.figure import Figure
+
+from diffshadow.config import parse_config
+from diffshadow.study import style
+
+# Colours of the same meaning in both panels.
+_NONE, _RULE, _FITTED, _OWN = (common.COLOURS[i] for i in (1, 0, 2, 3))
+
+
+def of_collection(seed: int, pixels: int, described: np.ndarray) -> Figure:
+    """A scene of each kind, as rays see its shadows, and how what rules may depend on is spread over all scenes."""
+    kinds = list(collection.KINDS)
+    made, panels = common.figure(1.6 * len(kinds), 4.6, 2, len(kinds))
+    for i, (panel, kind) in enumerate(zip(panels[: len(kinds)], kinds, strict=True)):
+        case = common.draw(parse_config(json.dumps(collection.scene(seed, i, pixels)), source=kind))
+        image = np.where(case.truth.mask, 0.15 + 0.85 * np.asarray(case.truth.visibility), 0.6)
+        panel.imshow(image, cmap="gray", vmin=0, vmax=1, origin="lower")
+        common.chart(panel, kind, "", "", grid=False)
+        panel.set_xticks([])
+        panel.set_yticks([])
+    numbers = dict(zip(errors.DESCRIBED, described.T, strict=True))
+    suns = numbers["perspective"] == 0
+    steepness = np.maximum(numbers["steepness"], 0.03)
+    shown: Sequence[tuple[str, str, np.ndarray, np.ndarray]] = [
+        ("Maps", "texels a side", numbers["texels"], 2 ** np.arange(7.5, 13)),
+        ("Texels on the screen", "pixels", numbers["pixels_per_texel"], _spread(numbers["pixels_per_texel"])),
+        ("Slopes", "median tangent", steepness, _spread(steepness)),
+        ("Suns", "degrees high", numbers["elevation"][suns], np.arange(0, 91, 10)),
+        ("Lit", "share of the pixels", numbers["lit"], np.linspace(0, 1, 11)),
+    ]
+    below = panels[len(kinds) :]
+    for panel in below[len(shown) :]:
+        panel.set_axis_off()
+    for panel, (title, unit, values, bins) in zip(below, shown, strict=False):
+        panel.hist(values, bins=bins.tolist(), color=common.COLOURS[0])
+        common.chart(panel, title, unit, "scenes" if panel is below[0] else "")
+        if title in ("Maps", "Texels on the screen", "Slopes"):
+            panel.set_xscale("log", base=2)
+            panel.xaxis.set_major_formatter(lambda value, _: f"{value:.2g}" if value < 10 else f"{value:g}")
+            panel.tick_params(axis="x", labelsize=7)
+    return made
+
+
+def _spread(values: np.ndarray) -> np.ndarray:
+    """Bins of equal ratios."""
+    return np.geomspace(values.min(), values.max() * 1.001, 13)
+
+
+def of_rules(result: Mapping[str, Any]) -> Figure:
+    """What no bias, rules and fits are worth for each filter, and what engines ship against rules for them."""
+    made, panels = common.figure(12.0, 4.4, 1, 3)
+    filters = {name: found for name, found in result["filters"].items() if not name.endswith(errors.PLANE)}
+    rows = {
+        "constant alone": (_NONE, {name: found["rules"]["constant"]["tested"] for name, found in filters.items()}),
+        "constant + slope": (_RULE, {name: of["rules"]["constant + slope"]["tested"] for name, of in filters.items()}),
+        "best for each scene": (_FITTED, {name: found["fitted"] for name, found in filters.items()}),
+    }
+    _dots(panels[0], "Price of a rule, by filter", "mean error over the best bias for each scene", rows, "price")
+    _dots(panels[1], "Scenes with acne, by filter", "share of the scenes", rows, "acne")
+    engines = result["engines"]
+    rows = {
+        "shipped": (_NONE, {name: found["shipped"] for name, found in engines.items()}),
+        "best in its own units": (_OWN, {name: found["own_worth"] for name, found in engines.items()}),
+        "rule in texels": (_RULE, {name: found["tested"] for name, found in engines.items()}),
+    }
+    _dots(panels[2], "Scenes with acne, by engine", "share of the scenes", rows, "acne")
+    return made
+
+
+def _dots(panel: Any, title: str, unit: str, rows: Mapping[str, tuple[str, Mapping[str, Any]]], key: str) -> None:
+    names = list(next(iter(rows.values()))[1])
+    for label, (colour, of) in rows.items():
+        panel.plot([of[name][key] for name in names], range(len(names)), "o", color=colour, label=label, markersize=6)
+    panel.set_yticks(range(len(names)), names)
+    panel.invert_yaxis()
+    common.chart(panel, title, unit, "")
+    if key == "acne":
+        panel.set_xlim(-0.03, 1.03)
+        panel.xaxis.set_major_formatter(lambda value, _: f"{value:.0%}")
+    common.legend(panel)
+    style.frame(panel)

@@ -1,0 +1,351 @@
+"""Rules for biases, searched for in the errors that were measured over a collection of scenes."""
+
+import dataclasses
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import _rule_errors as errors
+import numpy as np
+from rich.table import Table
+from scipy.optimize import differential_evolution, minimize
+
+from diffshadow.console import Console
+
+ACNE = 1e-3
+"""A scene has acne or leaks if more than this part of the light is wrongly missing, or wrongly there."""
+SHARE = 0.08
+"""The share of scenes with acne that a rule should stay below."""
+# What a share of scenes with acne beyond it costs, in prices.
+_PENALTY = 3.0
+
+FAMILIES = {
+    "constant": (True, False, False),
+    "constant + slope": (True, True, False),
+    "constant + normal offset": (True, False, True),
+    "all three": (True, True, True),
+}
+"""Which of constant, slope and normal offset a rule sets."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Measured:
+    """What was measured in all scenes.
+
+    - `errors`: by filter and engine, (scenes, constants, slopes, offsets, 3), NaN where an engine lacks the light.
+    - `shipped`: by engine, (scenes, 3); `units`: by engine, (scenes, 2).
+    - `described`: (scenes, numbers); `sizes`: by what scenes are scaled from metres; `apart`: which of them rules are
+      only tested on.
+    """
+
+    errors: Mapping[str, np.ndarray]
+    shipped: Mapping[str, np.ndarray]
+    units: Mapping[str, np.ndarray]
+    described: np.ndarray
+    sizes: np.ndarray
+    apart: np.ndarray
+
+    @classmethod
+    def of(cls, found: Sequence[Mapping[str, np.ndarray]], sizes: Sequence[float], apart: Sequence[bool]) -> "Measured":
+        names = [*errors.FILTERS, *(f"{name} {errors.PLANE}" for name in errors.WITH_PLANE), *errors.ENGINES]
+        stacked = lambda key, shape: np.stack([each.get(key, np.full(shape, np.nan)) for each in found])
+        grids = {name: stacked(name, (len(errors.grid_of(name)), 3)) for name in names}
+        return cls(
+            {name: values.reshape(len(found), *_shape(name), 3) for name, values in grids.items()},
+            {name: stacked(f"shipped {name}", (3,)) for name in errors.ENGINES},
+            {name: stacked(f"units {name}", (2,)) for name in errors.ENGINES},
+            np.stack([each["scene"] for each in found]),
+            np.asarray(sizes),
+            np.asarray(apart),
+        )
+
+    @property
+    def named(self) -> Mapping[str, np.ndarray]:
+        """What describes the scenes, by name: (scenes,)."""
+        return dict(zip(errors.DESCRIBED, self.described.T, strict=True))
+
+    def in_texels(self, name: str, own: np.ndarray) -> np.ndarray:
+        """An engine's two settings as biases in texels, (scenes, 3), in scenes of their size in metres."""
+        lengths = np.array([name in ("bevy", "filament"), name in ("three.js", "babylon.js")])
+        units = self.units[name] / np.where(lengths, self.sizes[:, None], 1)
+        constant, offset = (_ratio(own[i], units[:, i]) for i in range(2))
+        return np.stack([constant, np.zeros(len(units)), offset], axis=1)
+
+    def best(self, name: str) -> np.ndarray:
+        """The least error of each scene, over all biases of a filter."""
+        return self.errors[name][..., 0].min(axis=(1, 2, 3))
+
+    def at(self, name: str, bias: np.ndarray) -> np.ndarray:
+        """The errors of all scenes, (scenes, 3), with one bias or one for each scene, between the ones measured."""
+        grid, scene = self.errors[name], slice(None) if bias.ndim == 1 else np.arange(len(self.described))
+        cells = [_cell(axis, bias[..., i]) for i, axis in enumerate(_axes(name))]
+        found = np.zeros((len(grid), 3))
+        for corner in np.ndindex(2, 2, 2):
+            index, weight = [], 1.0
+            for (low, part, last), upper in zip(cells, corner, strict=True):
+                index.append(np.minimum(low + upper, last))
+                weight = weight * (part if upper else 1 - part)
+            if np.any(weight):
+                found += np.reshape(weight, (-1, 1)) * grid[scene, index[0], index[1], index[2]]
+        return found
+
+
+@functools.cache
+def _axes(name: str) -> list[tuple[float, ...]]:
+    grid = errors.grid_of(name)
+    return [tuple(float(x) for x in np.unique(grid[:, i])) for i in range(3)]
+
+
+def _shape(name: str) -> tuple[int, ...]:
+    return tuple(len(axis) for axis in _axes(name))
+
+
+def _cell(axis: Sequence[float], value: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+    """The cell of an axis that values lie in, how far along, and the last point of the axis. Values beyond are moved to
+    its ends."""
+    last = len(axis) - 1
+    if last == 0:
+        return np.zeros(np.shape(value), int), np.zeros(np.shape(value)), 0
+    points = np.asarray(axis)
+    value = np.clip(value, points[0], points[-1])
+    low = np.clip(np.searchsorted(points, value, side="right") - 1, 0, last - 1)
+    return low, (value - points[low]) / (points[low + 1] - points[low]), last
+
+
+# --- What a rule is worth ---
+
+
+def worth(found: np.ndarray, best: np.ndarray, chosen: np.ndarray) -> dict[str, float]:
+    """What errors (scenes, 3) are worth over the `chosen` scenes: prices against the `best` error of each scene, and
+    shares of scenes."""
+    counted = chosen & np.isfinite(found[:, 0])
+    price = (found[counted, 0] + errors.NEGLIGIBLE) / (best[counted] + errors.NEGLIGIBLE)
+    return {
+        "price": float(price.mean()),
+        "worst_decile": float(np.quantile(price, 0.9)),
+        "acne": float(np.mean(found[counted, 1] > ACNE)),
+        "leaks": float(np.mean(found[counted, 2] > ACNE)),
+        "scenes": int(counted.sum()),
+    }
+
+
+def _cost(found: np.ndarray, best: np.ndarray, chosen: np.ndarray) -> float:
+    """What a search makes least: the mean price, while at most `SHARE` of the scenes have acne."""
+    price = np.nanmean((found[chosen, 0] + errors.NEGLIGIBLE) / (best[chosen] + errors.NEGLIGIBLE))
+    acne = np.mean(found[chosen, 1] > ACNE)
+    return float(price + _PENALTY * max(0.0, acne - SHARE))
+
+
+def _refined(cost: Callable[[np.ndarray], float], starts: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """The least of `cost` from the best of some starts, within bounds."""
+    ranked = starts[np.argsort([cost(start) for start in starts], kind="stable")[:3]]
+    ends = [minimize(cost, start, method="Nelder-Mead", options={"maxiter": 400}).x for start in ranked]
+    best = np.array(min([*ends, *ranked], key=cost))
+    # Nobody types a third figure.
+    rounded = np.clip(np.round(best, 1), low, high)
+    return rounded if cost(rounded) <= cost(best) + 0.01 else np.clip(np.round(best, 2), low, high)
+
+
+def rule_of(measured: Measured, name: str, family: tuple[bool, ...]) -> np.ndarray:
+    """The bias of a family that is best over the scenes that are searched."""
+    best, free = measured.best(name), np.flatnonzero(family)
+
+    def cost(numbers: np.ndarray) -> float:
+        return _cost(measured.at(name, _placed(numbers, free)), best, ~measured.apart) + 10 * _below(numbers)
+
+    grid = np.unique(errors.grid_of(name)[:, free], axis=0).astype(float)
+    return _placed(_refined(cost, grid, grid.min(axis=0), grid.max(axis=0)), free)
+
+
+def _placed(numbers: np.ndarray, free: np.ndarray) -> np.ndarray:
+    bias = np.zeros(3)
+    bias[free] = numbers
+    return bias
+
+
+def _below(numbers: np.ndarray) -> float:
+    return float(np.sum(np.maximum(-numbers, 0)))
+
+
+# --- Formulas over the filters' reach ---
+
+
+class Formula(NamedTuple):
+    """A bias by half the width of a kernel in texels, and by what describes a scene.
+
+    - `bounds`: of its numbers; `bias`: constant, slope and normal offset by the numbers, the reach and the descriptions
+      by name: one for all scenes, or one for each.
+    """
+
+    bounds: Sequence[tuple[float, float]]
+    bias: Callable[[np.ndarray, float, Mapping[str, np.ndarray]], np.ndarray]
+
+
+def _raised(bias: Sequence[float], by: np.ndarray) -> np.ndarray:
+    """A bias with a constant that differs from scene to scene."""
+    return np.stack([np.maximum(bias[0] + by, 0), *(np.full(len(by), each) for each in bias[1:])], axis=1)
+
+
+_CONSTANT, _SLOPE, _OFFSET = (0.0, 12.0), (0.0, 4.0), (0.0, 3.0)
+_GROWTH = (0.0, 1.5)
+_THREE = [_CONSTANT, _GROWTH, _OFFSET]
+FORMULAS: dict[str, Formula] = {
+    "c, s, n": Formula([_CONSTANT, _SLOPE, _OFFSET], lambda p, r, of: np.array([p[0], p[1], p[2]])),
+    "c r, s, n": Formula([_GROWTH, _SLOPE, _OFFSET], lambda p, r, of: np.array([p[0] * r, p[1], p[2]])),
+    "c, s r, n": Formula(_THREE, lambda p, r, of: np.array([p[0], p[1] * r, p[2]])),
+    "c, s + t r": Formula([_CONSTANT, _SLOPE, _GROWTH], lambda p, r, of: np.array([p[0], p[1] + p[2] * r, 0.0])),
+    "c + d r, s + t r": Formula(
+        [_CONSTANT, _GROWTH, _SLOPE, _GROWTH], lambda p, r, of: np.array([p[0] + p[1] * r, p[2] + p[3] * r, 0.0])
+    ),
+    "c, s r, n; c other under lamps": Formula(
+        [*_THREE, (-8.0, 8.0)], lambda p, r, of: _raised([p[0], p[1] * r, p[2]], p[3] * of["perspective"])
+    ),
+    "c, s r, n; c by texels on the screen": Formula(
+        [*_THREE, (-2.0, 2.0)],
+        lambda p, r, of: _raised([p[0], p[1] * r, p[2]], p[3] * np.log2(of["pixels_per_texel"])),
+    ),
+    "c, s r, n; c by the slope of receivers": Formula(
+        [*_THREE, (-4.0, 4.0)], lambda p, r, of: _raised([p[0], p[1] * r, p[2]], p[3] * of["steepness"])
+    ),
+}
+"""Formulas by how constant, slope and normal offset follow from the reach r, and from the scene. The first one ignores
+both."""
+
+
+def formula_of(measured: Measured, formula: Formula) -> np.ndarray:
+    """The numbers of a formula that are best over all filters and the scenes that are searched."""
+    bests = {name: measured.best(name) for name in errors.FILTERS}
+
+    def cost(numbers: np.ndarray) -> float:
+        costs = [
+            _cost(measured.at(name, formula.bias(numbers, each.reach, measured.named)), bests[name], ~measured.apart)
+            for name, each in errors.FILTERS.items()
+        ]
+        return float(np.mean(costs)) + 10 * _below(numbers[:3])
+
+    found = differential_evolution(cost, formula.bounds, rng=0, popsize=8, maxiter=25, tol=1e-4, polish=False).x
+    return _refined(cost, found[None], *np.array(formula.bounds).T)
+
+
+def worths(
+    measured: Measured, formula: Formula, numbers: np.ndarray, chosen: np.ndarray
+) -> dict[str, dict[str, float]]:
+    return {
+        name: worth(measured.at(name, formula.bias(numbers, each.reach, measured.named)), measured.best(name), chosen)
+        for name, each in errors.FILTERS.items()
+    }
+
+
+# --- Engines ---
+
+
+def own_of(measured: Measured, name: str) -> tuple[np.ndarray, dict[str, float]]:
+    """The best of an engine's two settings in its own units, one pair for all scenes, and what it is worth."""
+    best, one = measured.best(name), measured.in_texels(name, np.ones(2))
+    most = errors.grid_of(name).max(axis=0)
+
+    def cost(own: np.ndarray) -> float:
+        bias = measured.in_texels(name, own)
+        # Nothing is known beyond the biases that were tried.
+        return _cost(measured.at(name, bias), best, ~measured.apart) + float(np.nanmean(bias[~measured.apart] > most))
+
+    # What is some texels in some of the scenes.
+    spread = lambda column: np.nanquantile(1 / np.where(one[:, column], one[:, column], np.nan), np.linspace(0, 1, 9))
+    constants = np.outer((0.5, 1, 2, 4, 7), spread(0)).ravel()
+    offsets = np.append(0, np.outer((0.5, 1, 2), spread(2)).ravel())
+    starts = np.array([(c, n) for c in np.unique(constants) for n in np.unique(offsets[np.isfinite(offsets)])])
+    own = starts[np.argmin([cost(start) for start in starts])]
+    return own, worth(measured.at(name, measured.in_texels(name, own)), best, measured.apart)
+
+
+def _shipped(measured: Measured, name: str) -> np.ndarray:
+    """The errors of what an engine ships: measured, or, where it is a length, as in scenes of their size in metres."""
+    if name not in ("bevy", "filament"):
+        return measured.shipped[name]
+    return measured.at(name, measured.in_texels(name, np.array(errors.ENGINES[name].values)))
+
+
+def _ratio(value: float, units: np.ndarray) -> np.ndarray:
+    return np.where(units != 0, value / np.where(units != 0, units, 1), 0.0)
+
+
+# --- All together ---
+
+
+def search(measured: Measured) -> dict[str, Any]:
+    """All rules and what they are worth, as JSON can store them."""
+    apart = measured.apart
+    names = [name for name in measured.errors if name not in errors.ENGINES]
+    filters: dict[str, Any] = {}
+    for name in names:
+        families = {"constant": FAMILIES["constant"]} if name.endswith(errors.PLANE) else FAMILIES
+        best = measured.best(name)
+        chosen = measured.errors[name].reshape(len(apart), -1, 3)
+        fitted = chosen[np.arange(len(apart)), chosen[..., 0].argmin(axis=1)]
+        plain = measured.best(name.removesuffix(f" {errors.PLANE}"))
+        filters[name] = {
+            # The error of the best bias for each scene, over that of the best one without a receiver plane.
+            "against_plain": float(np.mean((best + errors.NEGLIGIBLE)[apart] / (plain + errors.NEGLIGIBLE)[apart])),
+            "fitted": worth(fitted, best, apart),
+            "none": worth(measured.at(name, np.zeros(3)), best, apart),
+            "rules": {
+                family: _rule(measured, name, rule_of(measured, name, free)) for family, free in families.items()
+            },
+        }
+    formulas = {}
+    for label, formula in FORMULAS.items():
+        numbers = formula_of(measured, formula)
+        by_filter = worths(measured, formula, numbers, apart)
+        formulas[label] = {
+            "numbers": numbers.tolist(),
+            **{key: float(np.mean([each[key] for each in by_filter.values()])) for key in ("price", "acne", "leaks")},
+            "filters": by_filter,
+        }
+    engines = {}
+    for name in errors.ENGINES:
+        best, free = measured.best(name), (True, False, name != "babylon.js")
+        own, own_worth = own_of(measured, name)
+        engines[name] = {
+            "shipped": worth(_shipped(measured, name), best, apart),
+            "own": own.tolist(),
+            "own_worth": own_worth,
+            **_rule(measured, name, rule_of(measured, name, free)),
+        }
+    return {"filters": filters, "formulas": formulas, "engines": engines}
+
+
+def _rule(measured: Measured, name: str, bias: np.ndarray) -> dict[str, Any]:
+    found, best = measured.at(name, bias), measured.best(name)
+    return {
+        "bias": bias.tolist(),
+        "searched": worth(found, best, ~measured.apart),
+        "tested": worth(found, best, measured.apart),
+    }
+
+
+def show(console: Console, result: Mapping[str, Any]) -> None:
+    """Prints the rules, each with what it is worth over the scenes that were kept apart."""
+    table = Table("filter", "rule", "constant", "slope", "offset", "price", "worst tenth", "acne", "leaks")
+    for name, found in result["filters"].items():
+        rows = {"none": {"bias": (0, 0, 0), "tested": found["none"]}, **found["rules"]}
+        rows["fitted"] = {"bias": ("", "", ""), "tested": found["fitted"]}
+        for family, rule in rows.items():
+            table.add_row(name, family, *map(str, rule["bias"]), *_worth_cells(rule["tested"]))
+    console.print(table)
+    table = Table("formula", "numbers", "price", "acne", "leaks")
+    for label, found in result["formulas"].items():
+        numbers = ", ".join(f"{x:.2f}" for x in found["numbers"])
+        table.add_row(label, numbers, f"{found['price']:.2f}", f"{found['acne']:.0%}", f"{found['leaks']:.0%}")
+    console.print(table)
+    table = Table("engine", "rule", "settings", "price", "worst tenth", "acne", "leaks")
+    for name, found in result["engines"].items():
+        shipped = errors.ENGINES[name].values
+        table.add_row(name, "shipped", ", ".join(f"{x:g}" for x in shipped), *_worth_cells(found["shipped"]))
+        table.add_row(name, "best", ", ".join(f"{x:.3g}" for x in found["own"]), *_worth_cells(found["own_worth"]))
+        in_texels = ", ".join(f"{x:g}" for x in (found["bias"][0], found["bias"][2]))
+        table.add_row(name, "in texels", in_texels, *_worth_cells(found["tested"]))
+    console.print(table)
+
+
+def _worth_cells(found: Mapping[str, float]) -> list[str]:
+    return [f"{found['price']:.2f}", f"{found['worst_decile']:.2f}", f"{found['acne']:.0%}", f"{found['leaks']:.0%}"]

@@ -1,0 +1,112 @@
+"""Which biases hold over many scenes, for each filter and engine, and what do they cost against fits?
+
+    python experiments/rules_of_thumb.py --scenes 16       # 15 minutes on two cores
+    python experiments/rules_of_thumb.py --scenes 112      # an hour
+
+Measures a collection of scenes, which is drawn from a seed, with all combinations of constant bias, slope bias and
+normal offset, for each filter and engine. Rules are then searched for in one half of the scenes, and tested on the
+other. A price is the error of a rule over that of the best bias for each scene. Of half the scenes, it also measures
+layouts of maps with the same number of texels, and patterns of taps.
+
+The folder keeps what was measured of each scene. A run that was stopped goes on from there, and ends with the same
+bytes.
+"""
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import _collection as collection
+import _common as common
+import _rule_errors as errors
+import _rule_figures as figures
+import _rule_layouts as layouts
+import _rules as rules
+import numpy as np
+from cyclopts import App
+
+from diffshadow import io
+from diffshadow.config import Config, parse_config
+from diffshadow.console import Console
+
+NAME = "rules_of_thumb"
+_MOST, _DPI = 10_000, 110
+# The rule with which taps are measured.
+_DISK, _FAMILY = "disk 4", "all three"
+
+app = App(help=__doc__, help_format="plaintext", result_action="return_value")
+
+
+@app.default
+def main(*, scenes: int = 16, seed: int = 0, pixels: int = 160, output: Path = Path("runs")) -> dict[str, Any]:
+    """Measures a collection of scenes and finds rules.
+
+    Parameters
+    ----------
+    scenes
+        How many scenes, half of them to test rules on.
+    seed
+        Of the collection.
+    pixels
+        The side of an image, in pixels.
+    output
+        Where the folder rules_of_thumb is made.
+    """
+    kinds = len(collection.KINDS)
+    common.expect("scenes", scenes, 2 * kinds <= scenes <= _MOST, f"{2 * kinds} to {_MOST}, two or more of each kind")
+    common.expect("pixels", pixels, 16 <= pixels <= 1024, "16 to 1024")
+    common.expect("seed", seed, seed >= 0, "0 or more")
+    console, folder = Console(), output / NAME
+    io.check_writable(folder)
+
+    def each(part: str, count: int, measure: Callable[[Config], dict[str, np.ndarray]], key: str = "") -> Iterator[Any]:
+        for index in common.progress(range(count), part, console):
+            text = json.dumps(collection.scene(seed, index, pixels))
+            yield stored(folder / part / f"{index:05}.npz", text, key, measure)
+
+    every = [collection.kind_of(i) for i in range(scenes)]
+    apart = [i // kinds % 2 == 1 for i in range(scenes)]
+    sizes = [collection.size_of(seed, i) for i in range(scenes)]
+    measured = rules.Measured.of(list(each("biases", scenes, errors.measure)), sizes, apart)
+    result = rules.search(measured)
+    bias = np.array(result["filters"][_DISK]["rules"][_FAMILY]["bias"])
+    by_layout = list(each("layouts", scenes // 2, layouts.layout_errors))
+    by_taps = list(each("taps", scenes // 2, lambda settings: layouts.tap_errors(settings, bias), str(bias)))
+    result |= {"layouts": layouts.compared(by_layout, every), "taps": layouts.taps_compared(by_taps)}
+    rules.show(console, result)
+    layouts.show(console, result)
+    drawn = {
+        f"{NAME}.png": figures.of_rules(result),
+        "collection.png": figures.of_collection(seed, pixels, measured.described),
+    }
+    for name, made in drawn.items():
+        with io.atomic_path(folder / name) as path:
+            made.savefig(path, format="png", dpi=_DPI, metadata={"Software": "diffshadow"})
+    with io.atomic_path(folder / f"{NAME}.json") as path:
+        about = {"scenes": scenes, "seed": seed, "pixels": pixels, **result}
+        path.write_text(json.dumps(about, indent=1, allow_nan=False) + "\n")
+    console.print(str(folder), soft_wrap=True)
+    return {**result, "folder": str(folder)}
+
+
+def stored(
+    path: Path, text: str, key: str, measure: Callable[[Config], Mapping[str, np.ndarray]]
+) -> Mapping[str, np.ndarray]:
+    """What `measure` finds in the scene of a configuration's text, from its file if that is of the same scene and
+    `key`."""
+    of = f"{text}\n{key}"
+    if path.exists():
+        with np.load(path) as file:
+            arrays = dict(file)
+        if str(arrays.pop("of")) == of:
+            return arrays
+    found = measure(parse_config(text, source=f"scene {path.stem}"))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with io.atomic_path(path) as temporary, temporary.open("wb") as file:
+        np.savez(file, **{"of": np.array(of), **found})  # pyright: ignore[reportArgumentType]
+    return found
+
+
+if __name__ == "__main__":
+    common.start(app)

@@ -1,0 +1,109 @@
+"""Rules of thumb as the command prints them."""
+
+import re
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from diffshadow import study
+from diffshadow.cli import main
+from diffshadow.settings import rules
+from diffshadow.settings.engines import ENGINES
+
+PAGE = Path(__file__).parents[2] / "docs" / "rules_of_thumb.md"
+MAP = {"size": 2048, "window": 40.0, "depth": 100.0}
+
+
+def printed(**options):
+    console = Console(record=True, width=200)
+    study.print_defaults(console=console, **options)
+    return console.export_text()
+
+
+def setting(text, name):
+    """The number that a line of code gives a setting."""
+    found = re.search(rf"{re.escape(name)}\s*=\s*(-?[\d.]+(?:e-?\d+)?)", text)
+    assert found, text
+    return float(found[1])
+
+
+def test_all_rules_are_listed_with_what_they_are_worth():
+    text = printed()
+    for name, rule in rules.FILTER_RULES.items():
+        (line,) = [line for line in text.splitlines() if f"│ {name} " in line]
+        found = [float(x) for x in re.findall(r"[\d.]+", line.split(name)[1])]
+        assert found[:3] == [rule.constant, rule.slope, rule.normal_offset]
+        assert found[3] == pytest.approx(rule.worth.price, abs=0.006)
+
+
+@pytest.mark.parametrize(
+    ("kind", "radius", "reach"), [("random_disk", 3, 3.5), ("pcf", 2.5, 2.5), ("bilinear", None, 0.5)]
+)
+def test_a_filters_bias_follows_from_its_reach(kind, radius, reach):
+    text = printed(filter=kind, radius=radius)
+    constant, slope, offset = rules.bias_for(reach)
+    assert f"bias: {{constant: {constant:.3g}, slope: {slope:.3g}, normal_offset: {offset:.3g}}}" in text
+    assert ("receiver_plane" in text) == (reach >= 1)
+    assert f"type: {kind}" in text
+
+
+def test_an_engines_settings_are_its_rule_in_its_units():
+    texel, depth = 40 / 2048, 100
+    of = rules.ENGINE_RULES
+    three = printed(engine="three.js", **MAP)
+    assert setting(three, "light.shadow.bias") == pytest.approx(-of["three.js"].constant * texel / depth, rel=1e-3)
+    assert setting(three, "light.shadow.normalBias") == pytest.approx(of["three.js"].normal_offset * texel, rel=1e-3)
+    babylon = printed(engine="babylon.js", **MAP)
+    assert setting(babylon, "generator.bias") == pytest.approx(2 * of["babylon.js"].constant * texel / depth, rel=1e-3)
+    godot = printed(engine="godot", **MAP)
+    # At the radius of Soft Low.
+    assert setting(godot, "light.shadow_bias") == pytest.approx(50 * of["godot"].constant * texel / depth, rel=1e-3)
+    assert setting(godot, "light.shadow_normal_bias") == pytest.approx(of["godot"].normal_offset, rel=1e-3)
+    bevy = printed(engine="bevy", **MAP)
+    assert setting(bevy, "shadow_depth_bias") == pytest.approx(of["bevy"].constant * texel, rel=1e-3)
+    filament = printed(engine="filament", **MAP)
+    assert setting(filament, "options.normalBias") == pytest.approx(2 * of["filament"].normal_offset, rel=1e-3)
+    unity = printed(engine="unity", **MAP)
+    assert setting(unity, "light.shadowBias") == pytest.approx(of["unity"].constant / 2.5, rel=1e-3)
+    assert set(of) == set(ENGINES)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--filter", "pfc"], "did you mean pcf?"),
+        (["--filter", "vsm"], "which has no rule"),
+        (["--filter", "bilinear", "--radius", "2"], "given with bilinear, which has none"),
+        (["--filter", "pcf", "--radius", "-1"], "expected 0 to"),
+        (["--filter", "pcf", "--radius", "nan"], "expected 0 to"),
+        (["--radius", "2"], "--radius is given without --filter"),
+        (["--map", "512"], "--map is given without --engine"),
+        (["--engine", "godot"], "without --map and --window and --depth"),
+        (["--engine", "godot", "--map", "0", "--window", "1", "--depth", "1"], "--map is 0; expected more than 0"),
+        (["--engine", "godot", "--filter", "pcf"], "given with a filter"),
+        (["--engine", "gdot"], "Choose from"),
+    ],
+)
+def test_options_that_say_nothing_are_refused_in_one_line(arguments, said, capsys):
+    with pytest.raises(SystemExit) as exit:
+        main(["defaults", *arguments])
+    error = " ".join(capsys.readouterr().err.split())
+    assert exit.value.code == 2
+    assert said in error
+    assert error.count("error: ") == 1
+
+
+def test_the_page_has_the_numbers_that_the_command_prints():
+    page = PAGE.read_text()
+    for name, rule in rules.FILTER_RULES.items():
+        numbers = " ".join(rf"{value:g} \|" for value in (rule.constant, rule.slope, rule.normal_offset))
+        row = rf"\| {re.escape(name)} \| {numbers} {rule.worth.price:.2f} \| {rule.worth.acne:.0%} \|"
+        assert re.search(row, page), name
+    for name, rule in rules.ENGINE_RULES.items():
+        shipped = rf"{rule.shipped.price:.2f} \| {rule.shipped.acne:.0%} \| {rule.shipped.leaks:.0%} \|"
+        row = rf"\| {re.escape(ENGINES[name])} \|.*\| {shipped} {rule.constant:g} \| {rule.normal_offset:g} \|"
+        assert re.search(row, page), name
+    formula = f"constant {rules.CONSTANT:g}, slope {rules.SLOPE_PER_TEXEL:g} r, normal offset {rules.NORMAL_OFFSET:g}"
+    assert formula in page
+    assert f"constant {rules.PLANE_CONSTANT:g} (1 + r)" in page

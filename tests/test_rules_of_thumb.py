@@ -1,0 +1,124 @@
+"""The collection of scenes, and the search for rules in what was measured over it."""
+
+import importlib
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scenes import staying_in
+
+from diffshadow.config import parse_config
+
+ROOT = Path(__file__).parent.parent
+
+
+@pytest.fixture(autouse=True)
+def apart(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "experiments"))
+    with staying_in(tmp_path):
+        yield
+
+
+def test_scenes_are_configurations_and_depend_on_seed_and_number_alone():
+    collection = importlib.import_module("_collection")
+    scenes = [collection.scene(0, i, 32) for i in range(24)]
+    assert scenes[7] == collection.scene(0, 7, 32)
+    assert collection.scene(1, 7, 32) != scenes[7]
+    assert [each["name"].split("_")[0] for each in scenes[:8]] == list(collection.KINDS)
+    for each in scenes:
+        parse_config(json.dumps(each))
+    lights = {each["scene"]["light"]["type"] for each in (collection.scene(0, i, 32) for i in range(200))}
+    assert lights == {"directional", "spot", "point"}
+    sizes = [mesh["scale"] for each in scenes for mesh in each["scene"]["meshes"]]
+    assert max(sizes) / min(sizes) > 1e3
+
+
+def measured(best, scenes=40, noise=0.0):
+    """Errors that are least at the bias `best(reach)`, with acne below its slope in the scenes with an odd number."""
+    errors, rules = importlib.import_module("_rule_errors"), importlib.import_module("_rules")
+    rng, found = np.random.default_rng(0), []
+    for i in range(scenes):
+        of = {}
+        for name in [*errors.FILTERS, *(f"{name} {errors.PLANE}" for name in errors.WITH_PLANE), *errors.ENGINES]:
+            reach = errors.FILTERS[name].reach if name in errors.FILTERS else 2.0
+            grid = errors.grid_of(name)
+            away = np.abs(grid - best(reach)) * (grid.max(axis=0) > 0)
+            error = 0.05 + 0.02 * away.sum(axis=1) + noise * rng.random(len(grid))
+            acne = 0.01 * (grid[:, 0] < best(reach)[0] - 0.1) * (i % 2)
+            of[name] = np.stack([error, acne, 0 * error], axis=1)
+        for name in errors.ENGINES:
+            of[f"shipped {name}"], of[f"units {name}"] = np.array([0.5, 0.2, 0.0]), np.array([0.01 * (1 + i % 3), 1.0])
+        found.append(of | {"scene": np.ones(len(errors.DESCRIBED))})
+    return rules, rules.Measured.of(found, [1.0] * scenes, [i % 4 >= 2 for i in range(scenes)])
+
+
+def test_the_best_bias_of_all_scenes_is_found_and_costs_nothing():
+    rules, made = measured(lambda reach: np.array([1.5, 2.0, 0.0]))
+    bias = rules.rule_of(made, "disk 4", (True, True, False))
+    np.testing.assert_allclose(bias, [1.5, 2, 0], atol=0.05)
+    worth = rules.worth(made.at("disk 4", bias), made.best("disk 4"), made.apart)
+    assert worth["price"] == pytest.approx(1, abs=0.03)
+    assert worth["acne"] == 0
+    assert worth["scenes"] == 20
+    # Too small a bias has acne in half of the scenes.
+    assert rules.worth(made.at("disk 4", np.array([0.5, 2.0, 0.0])), made.best("disk 4"), made.apart)["acne"] == 0.5
+
+
+@pytest.mark.exhaustive
+def test_a_bias_that_grows_with_the_kernel_has_a_better_formula_than_one_for_all():
+    rules, made = measured(lambda reach: np.array([1.0, 0.5 + 0.4 * reach, 0.0]))
+    grows = rules.formula_of(made, rules.FORMULAS["c, s + t r"])
+    np.testing.assert_allclose(grows, [1, 0.5, 0.4], atol=0.15)
+    price = lambda name, numbers: np.mean(
+        [each["price"] for each in rules.worths(made, rules.FORMULAS[name], numbers, made.apart).values()]
+    )
+    one = rules.formula_of(made, rules.FORMULAS["c, s, n"])
+    assert price("c, s + t r", grows) < 1.1 < price("c, s, n", one)
+
+
+def test_errors_between_the_biases_that_were_tried_are_linear():
+    _, made = measured(lambda reach: np.array([15.0, 5.0, 3.5]))
+    errors = importlib.import_module("_rule_errors")
+    line = lambda c, s, n: 0.05 + 0.02 * (15 - c + 5 - s + 3.5 - n)
+    for bias in ((0.2, 0.7, 0.1), (12.0, 4.9, 3.0), (15, 5, 3.5)):
+        np.testing.assert_allclose(made.at("pcf 3x3", np.array(bias))[:, 0], line(*bias), rtol=1e-5)
+    each = np.linspace(0, 10, len(made.apart))[:, None] * [1, 0.3, 0.2]
+    np.testing.assert_allclose(made.at("pcf 3x3", each)[:, 0], [line(*row) for row in each], rtol=1e-5)
+    # Beyond its ends the grid's last error counts.
+    np.testing.assert_allclose(made.at("bevy", np.array([99.0, 9.0, 0.0]))[:, 0], 0.05 + 0.02 * 3.5, rtol=1e-5)
+    assert len(errors.grid_of("babylon.js")) == len(errors.CONSTANT)
+
+
+@pytest.mark.exhaustive
+def test_what_was_measured_is_kept_and_the_same_each_time(monkeypatch):
+    script = importlib.import_module("rules_of_thumb")
+    collection, errors = importlib.import_module("_collection"), importlib.import_module("_rule_errors")
+    monkeypatch.setattr(errors, "FILTERS", {"bilinear": errors.FILTERS["bilinear"]})
+    monkeypatch.setattr(errors, "WITH_PLANE", ())
+    monkeypatch.setattr(errors, "ENGINES", {name: errors.ENGINES[name] for name in ("three.js", "unity")})
+    text, path = json.dumps(collection.scene(0, 4, 32)), Path("biases/00004.npz")
+    first = script.stored(path, text, "", errors.measure)
+    written = path.read_bytes()
+    assert first["bilinear"].shape == (len(errors.grid_of("bilinear")), 3)
+    assert (first["bilinear"] >= 0).all()
+    assert (first["bilinear"][:, 0] <= 1).all()
+    # No bias has acne, and some bias has hardly any.
+    assert first["bilinear"][0, 1] > 0.05 > 0.005 > first["bilinear"][:, 1].min()
+    assert set(first) == {"bilinear", "three.js", "shipped three.js", "units three.js", "scene"} | {
+        "unity",
+        "shipped unity",
+        "units unity",
+    }
+
+    def fail(settings):
+        raise AssertionError("measured again")
+
+    again = script.stored(path, text, "", fail)
+    np.testing.assert_array_equal(again["bilinear"], first["bilinear"])
+    path.unlink()
+    script.stored(path, text, "", errors.measure)
+    assert path.read_bytes() == written
+    # Of another scene, it is measured again.
+    with pytest.raises(AssertionError, match="measured again"):
+        script.stored(path, text.replace("32", "33"), "", fail)
