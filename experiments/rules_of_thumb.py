@@ -5,8 +5,8 @@
 
 Measures a collection of scenes, which is drawn from a seed, with all combinations of constant bias, slope bias and
 normal offset, for each filter and engine. Rules are then searched for in one half of the scenes, and tested on the
-other. A price is the error of a rule over that of the best bias for each scene. Of half the scenes, it also measures
-layouts of maps with the same number of texels, and patterns of taps.
+other. A price is the error of a rule over that of the best bias for each scene. In half of the scenes, it also measures
+layouts of maps with the same number of texels, and in an eighth patterns of taps.
 
 The folder keeps what was measured of each scene. A run that was stopped goes on from there, and ends with the same
 bytes.
@@ -72,7 +72,7 @@ def main(*, scenes: int = 16, seed: int = 0, pixels: int = 160, output: Path = P
     result = rules.search(measured)
     bias = np.array(result["filters"][_DISK]["rules"][_FAMILY]["bias"])
     by_layout = list(each("layouts", scenes // 2, layouts.layout_errors))
-    by_taps = list(each("taps", scenes // 2, lambda settings: layouts.tap_errors(settings, bias), str(bias)))
+    by_taps = list(each("taps", scenes // 8, lambda settings: layouts.tap_errors(settings, bias), str(bias)))
     result |= {"layouts": layouts.compared(by_layout, every), "taps": layouts.taps_compared(by_taps)}
     rules.show(console, result)
     layouts.show(console, result)
