@@ -9,7 +9,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import covered, floor_and_card, problem, shadows, sun, technique
+from scenes import covered, floor_and_card, free_port, problem, shadows, sun, technique
 
 from diffshadow.fit import Search, TechniqueProblem
 from diffshadow.fit.problems import compressed
@@ -18,12 +18,15 @@ from diffshadow.shadow import RandomDisk, draw_shadow_map, stratified
 
 ROOT = Path(__file__).parents[2]
 PARTS = [(0.5, -1.0, -0.3), (-0.4, -1.0, 0.5), (0.2, -1.0, 0.4), (-0.3, -1.0, -0.2), (0.1, -1.0, 0.6)]
-# Fits on so many devices, and prints what it found.
+# Fits on so many devices, and prints what it found: in this process, or in as many processes with one device each.
 COMMAND = """
 import json, sys
 import jax
-devices = int(sys.argv[1])
-jax.config.update("jax_num_cpu_devices", devices)
+devices, number = int(sys.argv[1]), int(sys.argv[3])
+if number < 0:
+    jax.config.update("jax_num_cpu_devices", devices)
+else:
+    jax.distributed.initialize(sys.argv[4], devices, number)
 from test_devices import views
 from diffshadow.fit import Anneal, Loss, Parameter, Search, Solver, fit
 found = []
@@ -76,10 +79,33 @@ def test_more_devices_than_there_are_refused():
         Search(devices=-1)
 
 
+def test_several_processes_share_all_devices_or_none(monkeypatch):
+    monkeypatch.setattr("jax.process_count", lambda: 2)
+    monkeypatch.setattr("jax.device_count", lambda: 4)
+    assert (devices_of(0), devices_of(4), devices_of(1)) == (4, 4, 1)
+    with pytest.raises(ValueError, match="devices is 2, and 2 processes of JAX have 4; expected 0 or 4"):
+        devices_of(2)
+
+
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("pixels", [1600, 1 << 20], ids=["of a sample", "of all pixels"])
 def test_two_devices_fit_what_one_does(pixels):
     one, two = (_fitted(devices, pixels) for devices in (1, 2))
+    _check_equal(two, one)
+
+
+@pytest.mark.exhaustive
+def test_two_processes_fit_what_one_does():
+    one = _fitted(1, 1600)
+    port = free_port()
+    first, second = map(_found, [_started(2, 1600, number, port) for number in range(2)])
+    _check_equal(first, one)
+    # Both know the result, and the first alone the steps.
+    assert [[*each[:4], *each[5:]] for each in second] == [[*each[:4], *each[5:]] for each in first]
+    assert [each[4] for each in second] == [0, 0, 0]
+
+
+def _check_equal(two: list[list[float]], one: list[list[float]]) -> None:
     np.testing.assert_allclose([each[:2] for each in two], [each[:2] for each in one], atol=1e-4)
     # The solver may end a step sooner or later. Deviations follow from the final Jacobian.
     np.testing.assert_allclose([each[4] for each in two], [each[4] for each in one], atol=3)
@@ -88,8 +114,19 @@ def test_two_devices_fit_what_one_does(pixels):
 
 
 def _fitted(devices: int, pixels: int) -> list[list[float]]:
+    return _found(_started(devices, pixels))
+
+
+def _started(devices: int, pixels: int, number: int = -1, port: int = 0) -> subprocess.Popen:
     path = os.pathsep.join(map(str, (ROOT, ROOT / "tests", ROOT / "tests" / "fit")))
-    command = [sys.executable, "-c", COMMAND, str(devices), str(pixels)]
-    done = subprocess.run(command, env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout.splitlines()[-1])
+    arguments = map(str, (devices, pixels, number, f"127.0.0.1:{port}"))
+    command = [sys.executable, "-c", COMMAND, *arguments]
+    return subprocess.Popen(
+        command, env={**os.environ, "PYTHONPATH": path}, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+
+
+def _found(process: subprocess.Popen) -> list[list[float]]:
+    out, errors = process.communicate(timeout=300)
+    assert process.returncode == 0, errors
+    return json.loads(out.splitlines()[-1])
