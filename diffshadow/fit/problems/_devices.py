@@ -45,7 +45,7 @@ def spread[T](tree: T, devices: int) -> T:
     return jax.tree.map(lambda leaf: jax.device_put(leaf, sharding), tree)
 
 
-def on_host[T](tree: T) -> T:
+def on_host(tree: Any) -> Any:
     """`tree` with its arrays in host memory. Arrays of several processes are gathered, so each of these calls this."""
 
     def copied(leaf: Any) -> Any:

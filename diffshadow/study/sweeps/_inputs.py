@@ -112,11 +112,22 @@ class Sender:
         return list(dict.fromkeys(found))
 
     def _upload(self, module: Path) -> None:
-        """Gives a user's module or package to all workers, also to those to come."""
+        """Gives a user's module or package to all workers, also to those to come.
+
+        **Raises** `ValueError` if a worker cannot load it.
+        """
+        from distributed.diagnostics.plugin import UploadFile
+
         self._modules.add(module)
-        if module.is_file():
-            self._client.upload_file(str(module))
-            return
         with tempfile.TemporaryDirectory() as scratch:
-            zipped = shutil.make_archive(f"{scratch}/{module.name}", "zip", module.parent, module.name)
-            self._client.upload_file(zipped)
+            archive = f"{scratch}/{module.name}", "zip", module.parent, module.name
+            file = module if module.is_file() else shutil.make_archive(*archive)
+            # `Client.upload_file` would also load it in the scheduler, which need not have this package.
+            plugin = UploadFile(str(file))
+        try:
+            self._client.register_plugin(plugin, name=f"diffshadow-{plugin.filename}")
+        except Exception as error:
+            raise ValueError(
+                f"a Dask worker cannot load {module}: {error}; expected a module that needs only what workers have "
+                "installed: make it a package with all that it imports, or install it on each worker"
+            ) from error
