@@ -111,7 +111,7 @@ def init(template: str = DEFAULT_TEMPLATE, /, *, mesh: Path | None = None, outpu
 
 
 @app.command
-def fit(config: Path, /, *overrides: str) -> None:
+def fit(config: Path, /, *overrides: str, distributed: bool = False) -> None:
     """Fits the parameters named in CONFIG, and writes values, images and a report.
 
     The path of the run's folder is the last line printed.
@@ -124,7 +124,13 @@ def fit(config: Path, /, *overrides: str) -> None:
         YAML file, mesh file, folder of a finished run or builtin:NAME.
     overrides
         KEY=VALUE pairs that replace values of the file, such as `filter.radius=3`.
+    distributed
+        Share the fit among several processes, which SLURM or Open MPI starts with this same command, and all their
+        devices. The first of them prints and writes.
     """
+    if distributed:
+        _join_processes()
+        overrides = "fit.devices=0", *overrides
     settings = _loaded(config, overrides, fitting=True)
     _start_jax()
     from . import study
@@ -698,6 +704,25 @@ def _start_jax() -> None:
             f"JAX cannot run on JAX_PLATFORMS={platforms}; expected platforms whose plugins are installed, such as "
             "cpu: change it, or unset it"
         ) from error
+
+
+def _join_processes() -> None:
+    """Makes this process one of several that JAX knows. All but the first print only errors.
+
+    **Raises** `ValueError` unless a launcher has started several processes.
+    """
+    import jax
+
+    try:
+        jax.distributed.initialize()
+    except (ValueError, RuntimeError) as error:
+        raise ValueError(
+            f"JAX finds no other processes for --distributed ({str(error).rstrip('.')}); expected several that SLURM "
+            "or Open MPI started, as by srun diffshadow fit CONFIG --distributed: leave it out, or start the processes "
+            "in Python with jax.distributed.initialize"
+        ) from error
+    if jax.process_index() > 0:
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115
 
 
 def _is_mistake(error: ValueError | OSError) -> bool:

@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import functools
+import socket
 from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -205,6 +206,13 @@ def staying_in(folder: Path) -> Iterator[None]:
         patch.chdir(folder)
         patch.setenv("DIFFSHADOW_CACHE", str(folder / "cache"))
         yield
+
+
+def free_port() -> int:
+    """A port of this machine that nothing listens to."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return free.getsockname()[1]
 
 
 def fit_section(bias: float, radius: float, max_steps: int, anneal: str) -> str:

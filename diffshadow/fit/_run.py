@@ -11,6 +11,7 @@ import optimistix as optx
 from jaxtyping import Array, Float
 
 from .._arithmetic import as_float, as_int
+from .._types import HostArray
 from ._history import Reporter, Step
 from ._loss import Errors, Loss
 from ._parameters import Parameter, Parameters
@@ -19,7 +20,7 @@ from ._precision import Precision, on_grids, precision_of
 from ._programs import compiled
 from ._search import search
 from ._solve import Solution, solve
-from .problems import Atlases, Joint, Losses, Samples
+from .problems import Atlases, Joint, Losses, Samples, on_host
 from .solvers import Solver, Stop
 
 # How often a phase may be given memory for more silhouettes.
@@ -154,8 +155,9 @@ class Run:
         span = (upper - lower)[np.asarray(phase.active)]
         names = [self.names[i] for i in phase.active]
         joint = phase.joint.put(self.parameters, as_float(path.values[chosen + 1]))
-        differences = on_grids(joint, solution.differences, np.asarray(solution.roots))
-        slopes = [stack for stacks in solution.slopes for stack in np.asarray(stacks).swapaxes(0, 1)]
+        own, stacks = on_host((solution.differences, solution.slopes))
+        differences = on_grids(joint, own, np.asarray(solution.roots))
+        slopes = [stack for each in stacks for stack in each.swapaxes(0, 1)]
         channels = np.size(phase.joint.problems[0].count)
         return precision_of(names, differences, slopes, phase.blurs, span, channels)
 
@@ -260,7 +262,7 @@ class Run:
         free = np.where(stays, 0, np.asarray(at.to_free(as_float(now))))
         narrowed = Parameters(at.paths, as_float(lower), as_float(upper))
         arguments = self._arguments(phase, as_float(values), narrowed, free, 1.0, as_int(_UNHEARD))
-        found = np.asarray(self._program(phase, arguments)(*arguments).value)
+        found = self._ran(phase, arguments).value
         if not np.isfinite(found).all():
             return values
         return tuple(_replaced(as_float(values), active, narrowed.to_bounded(as_float(found))).tolist())
@@ -359,9 +361,8 @@ class Run:
             active = np.asarray(phase.active)
             at = self.parameters[phase.active]
             arguments = self._arguments(phase, values, at, np.asarray(free)[active], scale, self.reporter.token)
-            program = self._program(phase, arguments)
             with self.reporter.own_errors():
-                found = program(*arguments)
+                found = self._ran(phase, arguments)
                 jax.effects_barrier()
             if not self.reporter.overflowed:
                 return found
@@ -373,6 +374,12 @@ class Run:
             self.phases = [each.with_memory_of(larger) for each in self.phases]
             self.reporter.again()
         raise ValueError(_NEVER_ENOUGH)
+
+    def _ran(self, phase: Phase, arguments: tuple[Any, ...]) -> Solution:
+        """What the program of a phase returns for `arguments`. Only images and their derivatives stay on devices."""
+        found = self._program(phase, arguments)(*arguments)
+        numbers = {name: getattr(found, name) for name in ("value", "gradient", "slope", "roots")}
+        return found._replace(**on_host(numbers))
 
     def _program(self, phase: Phase, arguments: tuple[Any, ...]) -> Any:
         """The compiled program of a phase for arguments of these shapes, which may differ between samples."""
@@ -395,7 +402,9 @@ def _key(values: Float[Array, " p"], loss: Loss) -> tuple[float, ...]:
     return *values.tolist(), float(loss.false_shadow), float(loss.false_light)
 
 
-def _replaced(free: Float[Array, " p"], active: np.ndarray, values: Float[Array, " a"]) -> Float[Array, " p"]:
+def _replaced(
+    free: Float[Array, " p"], active: np.ndarray, values: Float[Array | HostArray, " a"]
+) -> Float[Array, " p"]:
     # In NumPy, which compiles nothing.
     replaced = np.array(free)
     replaced[active] = values

@@ -1,5 +1,6 @@
 """Fits whose views are shared among devices."""
 
+import dataclasses
 import json
 import os
 import subprocess
@@ -9,49 +10,86 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import covered, floor_and_card, problem, shadows, sun, technique
+from scenes import covered, floor_and_card, free_port, problem, shadows, sun, technique
+from test_search import along_posts
 
 from diffshadow.fit import Search, TechniqueProblem
 from diffshadow.fit.problems import compressed
 from diffshadow.fit.problems._devices import devices_of
-from diffshadow.shadow import RandomDisk, draw_shadow_map, stratified
+from diffshadow.reference import trace_visibility
+from diffshadow.shadow import (
+    Bias,
+    Cascades,
+    MapSettings,
+    RandomDisk,
+    ShadowMapping,
+    draw_shadow_map,
+    stratified,
+)
 
 ROOT = Path(__file__).parents[2]
 PARTS = [(0.5, -1.0, -0.3), (-0.4, -1.0, 0.5), (0.2, -1.0, 0.4), (-0.3, -1.0, -0.2), (0.1, -1.0, 0.6)]
-# Fits on so many devices, and prints what it found.
-COMMAND = """
+# Uses so many devices: of this process, or of as many processes with one device each.
+START = """
 import json, sys
 import jax
-devices = int(sys.argv[1])
-jax.config.update("jax_num_cpu_devices", devices)
-from test_devices import views
+devices, pixels, number = map(int, sys.argv[1:4])
+if number < 0:
+    jax.config.update("jax_num_cpu_devices", devices)
+else:
+    jax.distributed.initialize(sys.argv[4], devices, number)
+from test_devices import layouts, views
 from diffshadow.fit import Anneal, Loss, Parameter, Search, Solver, fit
+"""
+# Fits, and prints what it found.
+FITS = """
 found = []
 for solver, loss in (("levenberg_marquardt", Loss()), ("levenberg_marquardt", Loss("worst")), ("adam", Loss())):
     bounds = [Parameter("bias.constant", 1.0, 0.0, 6.0), Parameter("filter.radius", 1.5, 0.0, 8.0)]
-    search = Search(devices=devices, pixels=int(sys.argv[2]))
     result = fit(
-        views(), bounds, solver=Solver(solver, 12, 1e-6, 1e-8), anneal=Anneal(1.0, 0.2, 2), loss=loss, search=search,
-        on_step=lambda step: None,
+        views(), bounds, solver=Solver(solver, 12, 1e-6, 1e-8), anneal=Anneal(1.0, 0.2, 2), loss=loss,
+        search=Search(devices=devices, pixels=pixels), on_step=lambda step: None,
     )
     deviations = list(result.precision.deviations.values())
     found.append([*result.fitted.values(), *result.errors, len(result.history), *deviations])
 print(json.dumps(found))
+"""
+LAYOUTS = """
+bounds = [Parameter("layout.logarithmic", 0.2, 0.0, 1.0), Parameter("bias.constant", 1.0, 0.0, 4.0)]
+search = Search(devices=devices, pixels=pixels, evaluations=10)
+result = fit(layouts(), bounds, anneal=Anneal(1.0, 0.2, 2), search=search, on_step=lambda step: None)
+print(json.dumps([[*result.fitted.values(), *result.errors, len(result.history)]]))
 """
 
 
 def views() -> list[TechniqueProblem]:
     """Five views under as many suns, two of them with smaller images."""
     disk = lambda radius, bias: technique(RandomDisk(radius, stratified((2, 2))), bias)
-    base, mesh = problem(disk(2.0, 1.6)), floor_and_card()
-    found = []
+    mesh, found = floor_and_card(), []
+    large, small = (problem(disk(2.0, 1.6), image=side) for side in (64, 48))
     for number, direction in enumerate(PARTS):
+        base = small if number in (1, 4) else large
         surface = base.surface
         shadow_map = draw_shadow_map(mesh, sun(mesh, direction), (64, 64))
         truth = shadows(disk(2.4 + number / 4, 1.2), shadow_map, surface)
         mask = np.array(covered(disk(2.0, 1.6), shadow_map, surface))
         mask[: 4 * number] = False
         found.append(TechniqueProblem(base.technique, shadow_map, surface, truth, jnp.asarray(mask)))
+    return found
+
+
+def layouts() -> list[TechniqueProblem]:
+    """Two views under cascades, whose spacing a search finds."""
+    scene, found = along_posts(), []
+    for direction in ((0.5, -1.0, -0.4), (-0.6, -1.0, -0.2)):
+        scene = dataclasses.replace(scene, lights=(sun(scene.mesh, direction),))
+        cascaded = ShadowMapping(
+            RandomDisk(1.5, stratified((2, 2))),
+            Bias(1.0),
+            map=MapSettings((32, 32)),
+            layout=Cascades(2, 0.2, margin=8.0),
+        )
+        found.append(TechniqueProblem.of(scene, cascaded, trace_visibility(scene, 1, "sobol", 0)))
     return found
 
 
@@ -76,10 +114,39 @@ def test_more_devices_than_there_are_refused():
         Search(devices=-1)
 
 
+def test_several_processes_share_all_devices_or_none(monkeypatch):
+    monkeypatch.setattr("jax.process_count", lambda: 2)
+    monkeypatch.setattr("jax.device_count", lambda: 4)
+    assert (devices_of(0), devices_of(4), devices_of(1)) == (4, 4, 1)
+    with pytest.raises(ValueError, match="devices is 2, and 2 processes of JAX have 4; expected 0 or 4"):
+        devices_of(2)
+
+
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("pixels", [1600, 1 << 20], ids=["of a sample", "of all pixels"])
 def test_two_devices_fit_what_one_does(pixels):
     one, two = (_fitted(devices, pixels) for devices in (1, 2))
+    _check_equal(two, one)
+
+
+@pytest.mark.exhaustive
+def test_two_devices_search_what_one_does():
+    one, two = (_found(_started(LAYOUTS, devices, 1 << 20)) for devices in (1, 2))
+    _check_equal(two, one)
+
+
+@pytest.mark.exhaustive
+def test_two_processes_fit_what_one_does():
+    one = _fitted(1, 1600)
+    port = free_port()
+    first, second = map(_found, [_started(FITS, 2, 1600, number, port) for number in range(2)])
+    _check_equal(first, one)
+    # Both know the result, and the first alone the steps.
+    assert [[*each[:4], *each[5:]] for each in second] == [[*each[:4], *each[5:]] for each in first]
+    assert [each[4] for each in second] == [0, 0, 0]
+
+
+def _check_equal(two: list[list[float]], one: list[list[float]]) -> None:
     np.testing.assert_allclose([each[:2] for each in two], [each[:2] for each in one], atol=1e-4)
     # The solver may end a step sooner or later. Deviations follow from the final Jacobian.
     np.testing.assert_allclose([each[4] for each in two], [each[4] for each in one], atol=3)
@@ -88,8 +155,19 @@ def test_two_devices_fit_what_one_does(pixels):
 
 
 def _fitted(devices: int, pixels: int) -> list[list[float]]:
+    return _found(_started(FITS, devices, pixels))
+
+
+def _started(fits: str, devices: int, pixels: int, number: int = -1, port: int = 0) -> subprocess.Popen:
     path = os.pathsep.join(map(str, (ROOT, ROOT / "tests", ROOT / "tests" / "fit")))
-    command = [sys.executable, "-c", COMMAND, str(devices), str(pixels)]
-    done = subprocess.run(command, env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout.splitlines()[-1])
+    arguments = map(str, (devices, pixels, number, f"127.0.0.1:{port}"))
+    command = [sys.executable, "-c", START + fits, *arguments]
+    return subprocess.Popen(
+        command, env={**os.environ, "PYTHONPATH": path}, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+
+
+def _found(process: subprocess.Popen) -> list[list[float]]:
+    out, errors = process.communicate(timeout=300)
+    assert process.returncode == 0, errors
+    return json.loads(out.splitlines()[-1])

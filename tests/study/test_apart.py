@@ -54,6 +54,19 @@ sys.addaudithook(refuse)
 from diffshadow.study import style
 style.save = lambda figure, path, dpi=None: path.write_bytes(b"")
 """
+# A user's filter, in a file or a package.
+FILTER = """
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+from diffshadow import shadow
+
+class Corners(shadow.AbstractFilter):
+    radius: Float[Array, ""] = eqx.field(converter=jnp.asarray, default=1.5)
+
+    def __call__(self, shadow_map, lookup, compare):
+        return shadow.FourTap(self.radius)(shadow_map, lookup, compare)
+"""
 # Runs that take no time.
 QUICK = """
 import time
@@ -195,11 +208,22 @@ def files_in(folder: Path) -> dict[str, bytes]:
     }
 
 
-def both(tmp_path: Path, overrides: list[str], during: Callable[[Elsewhere, Path], None] | None = None, workers=1):
-    """The files of a sweep that is done on workers elsewhere, and in this process."""
+Act = Callable[[Elsewhere, Path], None]
+
+
+def both(
+    tmp_path: Path, overrides: list[str], *, before: Act | None = None, during: Act | None = None, workers: int = 1
+) -> tuple[dict[str, bytes], dict[str, bytes]]:
+    """The files of a sweep that is done on workers elsewhere, and in this process.
+
+    **Arguments:** `before`, `during`: what happens before and during the first, given the workers and the sweep's
+    folder.
+    """
     sweep = load_sweep(Path("s.yaml"), overrides)
     with elsewhere(tmp_path, workers) as cluster:
         folder = Path("runs/s-sweep").absolute()
+        if before:
+            before(cluster, folder)
         thread = threading.Thread(target=during, args=(cluster, folder)) if during else None
         if thread:
             thread.start()
@@ -253,6 +277,59 @@ def test_a_worker_may_be_lost_and_another_may_join(tmp_path):
         first.send_signal(signal.SIGKILL)
         cluster.start()
 
-    there, here = both(tmp_path, ["sweep.repeats=100"], lose, workers=2)
+    there, here = both(tmp_path, ["sweep.repeats=100"], during=lose, workers=2)
     assert there == here
     assert sum(b'"status": "ok"' in content for content in there.values()) == 200
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("is_package", [False, True], ids=["file", "package"])
+def test_a_user_s_filter_is_sent_along(tmp_path, is_package, monkeypatch):
+    name = "own_package" if is_package else "own_file"
+    if is_package:
+        Path(name).mkdir()
+        Path(name, "_corners.py").write_text(FILTER)
+        Path(name, "__init__.py").write_text("from ._corners import Corners")
+    else:
+        Path(f"{name}.py").write_text(FILTER)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    overrides = [f"filter={{type: '{name}:Corners', radius: 2}}", "sweep.repeats=2"]
+    there, here = both(tmp_path, overrides)
+    assert there == here
+    assert sum(b'"status": "ok"' in content for content in there.values()) == 4
+
+
+@pytest.mark.exhaustive
+def test_a_user_s_filter_that_workers_cannot_load_is_refused(tmp_path, monkeypatch):
+    Path("own_helper.py").write_text("")
+    Path("own_parted.py").write_text("import own_helper" + FILTER)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    sweep = load_sweep(Path("s.yaml"), ["filter={type: 'own_parted:Corners', radius: 2}"])
+    with elsewhere(tmp_path, 1) as cluster, pytest.raises(ValueError, match=r"cannot load .*own_parted\.py: No module"):
+        study.run_sweep(sweep, console=quiet(), scheduler=cluster.address)
+
+
+@pytest.mark.exhaustive
+def test_an_interrupted_sweep_goes_on_to_the_same_bytes(tmp_path):
+    overrides = ["sweep.repeats=100"]
+
+    def interrupt(cluster: Elsewhere, folder: Path) -> None:
+        command = [sys.executable, "-m", "diffshadow", "sweep", "s.yaml", *overrides, "--scheduler", cluster.address]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        until(lambda: len(list(folder.glob("runs/*/result.json"))) >= 10)
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=60)
+        assert (process.returncode, errors) == (130, "error: interrupted\n")
+        assert 10 <= len(list(folder.glob("runs/*/result.json"))) < 200
+
+    there, here = both(tmp_path, overrides, before=interrupt)
+    assert there == here
+    assert sum(b'"status": "ok"' in content for content in there.values()) == 200
+    # Both have the same page, up to times.
+    pages = []
+    for kept in ("here", "there"):
+        pages.append(re.sub(r"\d+\.\d+ m?s", "", study.report(Path("runs/s-sweep")).read_text()))
+        Path("runs/s-sweep").rename(f"{kept} with a page")
+        if kept == "here":
+            Path("there").rename("runs/s-sweep")
+    assert pages[0] == pages[1]

@@ -2,12 +2,15 @@
 
 import io as text_io
 import json
+import os
 import shutil
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 from rich.console import Console
-from scenes import staying_in
+from scenes import free_port, staying_in
 from stored_runs import TINY
 
 from diffshadow import io, study
@@ -17,6 +20,7 @@ VIEWS = [
     "fit.views={grid: {scene.light.azimuth: [-150, -30]}}",
     "fit.validation={list: [{label: low, scene.light.elevation: 25}]}",
 ]
+SETTINGS = [*VIEWS, "fit.intervals=[0.05]", "fit.front=3", "fit.prefer=least_bias"]
 
 
 @pytest.fixture(scope="module")
@@ -24,8 +28,7 @@ def run(tmp_path_factory):
     """The folder of a fit over two views, and what was printed."""
     out = text_io.StringIO()
     with staying_in(tmp_path_factory.mktemp("views")):
-        settings = [*VIEWS, "fit.intervals=[0.05]", "fit.front=3", "fit.prefer=least_bias"]
-        folder = study.run_fit(parse_config(TINY, settings, fitting=True), console=Console(file=out, width=100))
+        folder = study.run_fit(parse_config(TINY, SETTINGS, fitting=True), console=Console(file=out, width=100))
         return folder.absolute(), out.getvalue()
 
 
@@ -66,6 +69,44 @@ def test_the_page_shows_views_worst_first_and_how_sure_the_values_are(run):
     before = page
     study.report(folder)
     assert (folder / "report.html").read_text() == before
+
+
+@pytest.mark.exhaustive
+def test_two_processes_share_a_fit_and_the_first_writes(run, tmp_path):
+    one = json.loads((run[0] / "result.json").read_text())
+    (tmp_path / "tiny.yaml").write_text(TINY)
+    launched = {"SLURM_JOB_ID": "1", "SLURM_STEP_NODELIST": "localhost", "SLURM_NTASKS": "2"}
+    launched |= {"JAX_COORDINATOR_ADDRESS": f"127.0.0.1:{free_port()}"}
+    command = [sys.executable, "-m", "diffshadow", "fit", "tiny.yaml", *SETTINGS, "--distributed"]
+    processes = [
+        subprocess.Popen(
+            command,
+            cwd=tmp_path,
+            env={**os.environ, **launched, "SLURM_PROCID": str(number), "SLURM_LOCALID": str(number)},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for number in range(2)
+    ]
+    (first, errors), (second, _) = (process.communicate(timeout=300) for process in processes)
+    assert [process.returncode for process in processes] == [0, 0], errors
+    assert "knee" in first
+    # Gloo itself prints in both.
+    assert "knee" not in second
+    assert [path.name for path in (tmp_path / "runs").iterdir()] == ["tiny"]
+    two = json.loads((tmp_path / "runs" / "tiny" / "result.json").read_text())
+    assert two["fitted"] == pytest.approx(one["fitted"], abs=0.02)
+    assert two["metrics"]["after"]["rmse"] == pytest.approx(one["metrics"]["after"]["rmse"], rel=0.02)
+
+
+def test_processes_that_cannot_share_a_fit_are_refused(monkeypatch):
+    monkeypatch.setattr("jax.process_count", lambda: 2)
+    with pytest.raises(ConfigError, match=r"fit\.devices: JAX has 2 processes; expected devices: 0"):
+        study.run_fit(parse_config(TINY, fitting=True), console=Console(quiet=True))
+    moving = TINY.replace("bias.constant:", "scene.light.azimuth:")
+    with pytest.raises(ConfigError, match=r"fit: JAX has 2 processes; expected one"):
+        study.run_fit(parse_config(moving, ["fit.devices=0"], fitting=True), console=Console(quiet=True))
 
 
 @pytest.mark.exhaustive

@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.experimental.multihost_utils import process_allgather
 from jax.sharding import AxisType, Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 from jaxtyping import Array, Float
@@ -15,11 +16,12 @@ _VIEWS = "views"
 
 
 def devices_of(asked: int, *, moves: bool = False) -> int:
-    """How many devices a fit uses if `asked` for so many, 0 for all.
+    """How many devices a fit uses if `asked` for so many, 0 for all that all processes have together.
 
-    **Raises** `ValueError` if there are fewer, or for more than one where lights or meshes move (`moves`).
+    **Raises** `ValueError` if there are fewer, for several that are not all where JAX has several processes, or for
+    more than one where lights or meshes move (`moves`).
     """
-    there = jax.device_count()
+    there, processes = jax.device_count(), jax.process_count()
     if asked > there:
         raise ValueError(
             f"devices is {asked}, and JAX sees {there} ({jax.default_backend()}); expected at most {there}: lower it, "
@@ -28,6 +30,11 @@ def devices_of(asked: int, *, moves: bool = False) -> int:
     if moves and (asked or there) > 1:
         raise ValueError(
             f"devices is {asked or there}, and lights or meshes move; expected 1: only fits of a technique are shared"
+        )
+    if processes > 1 and 1 < asked < there:
+        raise ValueError(
+            f"devices is {asked}, and {processes} processes of JAX have {there}; expected 0 or {there}, so that all "
+            "share the fit, or 1 for a fit in each process"
         )
     return asked or there
 
@@ -38,9 +45,14 @@ def spread[T](tree: T, devices: int) -> T:
     return jax.tree.map(lambda leaf: jax.device_put(leaf, sharding), tree)
 
 
-def on_host[T](tree: T) -> T:
-    """`tree` with its arrays in host memory."""
-    return jax.tree.map(np.asarray, tree)
+def on_host(tree: Any) -> Any:
+    """`tree` with its arrays in host memory. Arrays of several processes are gathered, so each of these calls this."""
+
+    def copied(leaf: Any) -> Any:
+        is_here = not isinstance(leaf, jax.Array) or leaf.is_fully_addressable or leaf.is_fully_replicated
+        return np.asarray(leaf if is_here else process_allgather(leaf, tiled=True))
+
+    return jax.tree.map(copied, tree)
 
 
 def on_each_device(function: Callable[[Any, Any], Any], shared: Any, views: Any, devices: int) -> Any:

@@ -18,6 +18,7 @@ from .._loss import Errors, Loss
 from .._own_loss import LossFunction, OwnLoss, Seen
 from .._parameters import Parameters, parameter_names, resolve
 from ._abstract import AbstractProblem, any_overflow
+from ._devices import on_host
 from ._stack import Atlases, stacked, stacked_order
 
 Samples = dict[tuple[int, int], tuple[Any, Any]]
@@ -205,7 +206,7 @@ class Joint(eqx.Module):
 
     def losses_together(self, stacks: "Joint") -> Losses:
         """`losses` by one program, from the same problems as `stacks`."""
-        found = _losses(dataclasses.replace(stacks, subject=self.subject, loss=self.loss))
+        found = on_host(_losses(dataclasses.replace(stacks, subject=self.subject, loss=self.loss)))
         errors = np.empty(len(self.problems), np.float32)
         errors[stacked_order(self.problems)] = found.errors
         return found._replace(errors=as_array(errors))

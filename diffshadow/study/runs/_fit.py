@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import jax
 from rich.console import Console
 
 from ... import fit, shadow
@@ -25,7 +26,7 @@ from ._picture import run_picture
 from ._progress import Stages
 from ._setup import load
 from ._shape import run_shape
-from ._solve import plan_fit, solve
+from ._solve import check_processes, plan_fit, solve
 from ._views import draw_views
 from ._write_fit import write_fit
 
@@ -33,10 +34,13 @@ from ._write_fit import write_fit
 def run_fit(config: Config, *, console: Console) -> Path:
     """Fits the parameters or the shape of `config`, prints the result, and writes the run's folder.
 
+    Where JAX has several processes, each of them calls this, and the first prints and writes.
+
     **Returns** the folder, `<output>/<name>`. An earlier run there is replaced only once everything is written.
 
     **Raises** `ValueError` for a mistake in the configuration, before any long computation.
     """
+    check_processes(config)
     if config.fit.shape is not None:
         return run_shape(config, console=console)
     if config.reference.type == "picture":
@@ -44,6 +48,8 @@ def run_fit(config: Config, *, console: Console) -> Path:
     folder = folder_of(config)
     with Stages(console) as stages:
         fitted = fit_technique(config, stages)
+        if jax.process_index() > 0:
+            return folder
         with stages.stage("writing"):
             measured = write_fit(folder, fitted, stages.seconds)
     said = fitted.verdict

@@ -3,7 +3,7 @@
 import contextlib
 import dataclasses
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -207,18 +207,23 @@ def trace(
     return reference.Reference(**{**arrays, "samples": int(arrays["samples"])})  # type: ignore[arg-type]
 
 
-def keys_of_references(config: Config, stages: Stages) -> list[str]:
-    """The keys in the cache of the references that are traced for `config`, one for each light; none if they are read
-    from a file, or the scene cannot be built."""
-    if not isinstance(config.reference, TracedReference | PictureReference):
-        return []
+def lit_scenes(config: Config, stages: Stages) -> list[geometry.Scene]:
+    """The scene of `config` under each of its lights alone; none if it cannot be built."""
     try:
-        scene, how = load(config, stages).scene, config.reference.how(config.seed)
-        lit = [scene.lit_by(i) for i in range(len(scene.lights))]
-        return [io.cache_key(reference.key_parts(each, **how)) for each in lit]
+        scene = load(config, stages).scene
+        return [scene.lit_by(i) for i in range(len(scene.lights))]
     except (ConfigError, ValueError, OSError):
         # The run reports it.
         return []
+
+
+def keys_of_references(config: Config, lit: Sequence[geometry.Scene]) -> list[str]:
+    """The keys in the cache of the references that are traced for `config`, one for each of its `lit_scenes`; none if
+    they are read from a file."""
+    if not isinstance(config.reference, TracedReference | PictureReference):
+        return []
+    how = config.reference.how(config.seed)
+    return [io.cache_key(reference.key_parts(each, **how)) for each in lit]
 
 
 def _error(config: Config, path: tuple[str | int, ...], what: str) -> ConfigError:

@@ -2,9 +2,26 @@
 
 from collections.abc import Callable, Sequence
 
+import jax
+
 from ... import fit, geometry
 from ...config import Config, ConfigError, FitPlan, Mistake, build_fit
 from ._progress import Stages
+
+
+def check_processes(config: Config) -> None:
+    """**Raises** `ConfigError` where JAX has several processes, and these cannot share the fit of `config`."""
+    processes = jax.process_count()
+    if processes == 1:
+        return
+    if config.moves or config.fit.shape is not None or config.reference.type == "picture":
+        place, said = ("fit",), "expected one: they can share only the fit of a technique to images of its shadows"
+    elif config.fit.devices == 1:
+        place, said = ("fit", "devices"), "expected devices: 0, so that all of them share the fit"
+    else:
+        return
+    message = f"JAX has {processes} processes; {said}"
+    raise ConfigError([Mistake(config.origin.place(place), ".".join(place), message)])
 
 
 def plan_fit(config: Config, scene: geometry.Scene) -> FitPlan:

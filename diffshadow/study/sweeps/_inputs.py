@@ -5,6 +5,7 @@ between workers, and makes it again if a worker is lost.
 """
 
 import hashlib
+import json
 import shutil
 import tempfile
 import warnings
@@ -17,8 +18,9 @@ from rich.console import Console
 
 from ... import io
 from ...config import Config, input_files, user_modules
+from ...geometry import Scene
 from ..runs._progress import Stages
-from ..runs._setup import keys_of_references
+from ..runs._setup import keys_of_references, lit_scenes
 from ._work import Batch, reference_of
 
 # The most bytes of copies that the cluster keeps for batches to come.
@@ -43,6 +45,7 @@ class Sender:
         self._hashes: dict[tuple[str, int, int], str] = {}
         self._keys: dict[str, list[str]] = {}
         self._references: dict[str, str] = {}
+        self._scene: tuple[str, list[Scene]] | None = None
         self._modules: set[Path] = set()
 
     def of(self, batch: Batch) -> Inputs:
@@ -107,16 +110,34 @@ class Sender:
             for each in (config, *(view.config for view in (*config.views, *config.validation))):
                 text = reference_of(each)
                 if text not in self._keys:
-                    self._keys[text] = keys_of_references(each, Stages(Console(quiet=True)))
+                    self._keys[text] = keys_of_references(each, self._lit_scenes(each))
                 found += self._keys[text]
         return list(dict.fromkeys(found))
 
+    def _lit_scenes(self, config: Config) -> list[Scene]:
+        """The lit scenes of `config`, built again only if it has another scene than the last."""
+        text = json.dumps(config.model_dump(mode="json", warnings=False, include={"scene"}))
+        if self._scene is None or self._scene[0] != text:
+            self._scene = text, lit_scenes(config, Stages(Console(quiet=True)))
+        return self._scene[1]
+
     def _upload(self, module: Path) -> None:
-        """Gives a user's module or package to all workers, also to those to come."""
+        """Gives a user's module or package to all workers, also to those to come.
+
+        **Raises** `ValueError` if a worker cannot load it.
+        """
+        from distributed.diagnostics.plugin import UploadFile
+
         self._modules.add(module)
-        if module.is_file():
-            self._client.upload_file(str(module))
-            return
         with tempfile.TemporaryDirectory() as scratch:
-            zipped = shutil.make_archive(f"{scratch}/{module.name}", "zip", module.parent, module.name)
-            self._client.upload_file(zipped)
+            archive = f"{scratch}/{module.name}", "zip", module.parent, module.name
+            file = module if module.is_file() else shutil.make_archive(*archive)
+            # `Client.upload_file` would also load it in the scheduler, which need not have this package.
+            plugin = UploadFile(str(file))
+        try:
+            self._client.register_plugin(plugin, name=f"diffshadow-{plugin.filename}")
+        except Exception as error:
+            raise ValueError(
+                f"a Dask worker cannot load {module}: {error}; expected a module that needs only what workers have "
+                "installed: make it a package with all that it imports, or install it on each worker"
+            ) from error
