@@ -1,5 +1,6 @@
 """Errors of many biases in one scene, for each filter, and of the shadows that engines draw by default."""
 
+import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -53,6 +54,7 @@ class Shipped(NamedTuple):
     - `engine`: its name in `engine_settings`; `constant`, `offset`: its settings of the two biases, and `values` what
       it ships for them.
     - `softness`: as for `engine_settings`.
+    - `polygon_offset`: the factor and units with which the engine draws its maps besides.
     """
 
     filter: shadow.AbstractFilter | None
@@ -62,6 +64,7 @@ class Shipped(NamedTuple):
     offset: str
     values: tuple[float, float]
     softness: float = 1.0
+    polygon_offset: tuple[float, float] | None = None
 
 
 _LOW = shadow.GODOT_QUALITIES["SOFT_LOW"]
@@ -78,8 +81,12 @@ ENGINES: dict[str, Shipped] = {
         _LOW.radius,
     ),
     "bevy": Shipped(shadow.Castano(5), 2.5, "Bevy", "shadow_depth_bias", "shadow_normal_bias", (0.02, 1.8)),
-    "filament": Shipped(shadow.Castano(3), 1.5, "Filament", "constantBias", "normalBias", (0.001, 1.0)),
-    "unity": Shipped(shadow.Tent(2.5), 2.5, "Unity URP", "shadowBias (depth)", "shadowNormalBias", (1.0, 1.0), 2.5),
+    "filament": Shipped(
+        shadow.Castano(3), 1.5, "Filament", "constantBias", "normalBias", (0.001, 1.0), 1.0, (2.0, 0.5)
+    ),
+    "unity": Shipped(
+        shadow.Tent(2.5), 2.5, "Unity URP", "shadowBias (depth)", "shadowNormalBias", (1.0, 1.0), 2.5, (2.5, 1.0)
+    ),
 }
 """Engines, by the names that the command takes, and what they ship."""
 
@@ -205,6 +212,9 @@ def _of_engine(
     grid = grid_of(name)
     if shipped.filter is not None:
         technique = _technique(shipped.filter, profile=shadow.OFFSET_PROFILES[shipped.engine])
+        if shipped.polygon_offset is not None:
+            offset_map = shadow.MapSettings(drawn.resolution, polygon_offset=shipped.polygon_offset)
+            shadow_map = dataclasses.replace(technique, map=offset_map).prepare(drawn.scene, drawn.surface)
         both = np.concatenate([grid, [[own[0], 0.0, own[1]]]])
         errors = grid_errors(technique, both, shadow_map, drawn.surface, seen)
     else:

@@ -80,8 +80,8 @@ FILTER_RULES: dict[str, Rule] = {
 }
 """By filter. Those with a receiver plane have a constant bias beside it."""
 ENGINE_RULES: dict[EngineName, EngineRule] = {
-    "three.js": EngineRule(0.0, 0.5, Worth(1.2, 0.083, 0.56), Worth(1.43, 0.062, 0.58)),
-    "babylon.js": EngineRule(14.7, 0.0, Worth(1.46, 0.23, 0.38), Worth(4.45, 1, 0.23)),
+    "three.js": EngineRule(0.0, 0.0, Worth(1.02, 0.083, 0.17), Worth(1.02, 0.083, 0.17)),
+    "babylon.js": EngineRule(14.7, 0.0, Worth(1.08, 0.31, 0.1), Worth(8.66, 1, 0.042)),
     "godot": EngineRule(9.0, 1.0, Worth(1.08, 0.083, 0.021), Worth(1.63, 0.35, 0.062)),
     "bevy": EngineRule(15.0, 0.5, Worth(1.17, 0.083, 0.062), Worth(1.4, 0.15, 0.021)),
     "filament": EngineRule(7.0, 0.5, Worth(1.07, 0.089, 0), Worth(5.24, 1, 0)),
