@@ -203,7 +203,7 @@ class PictureProblem(ArrangedProblem):
 def _larger(plan: AntialiasPlan, before: AntialiasPlan | None) -> AntialiasPlan:
     if before is None:
         return plan
-    return dataclasses.replace(plan, pieces=max(plan.pieces, before.pieces), mixed=max(plan.mixed, before.mixed))
+    return dataclasses.replace(plan, pieces=max(plan.pieces, before.pieces), crossings=max(plan.crossings, before.crossings))
 
 
 def _overflow(maps: list[ShadowMap], seen: AntialiasedSurface) -> Overflow:
