@@ -99,7 +99,7 @@ def crossing_faces(
         seen = jnp.concatenate([flat[pixel][None], around])
         middle = jnp.stack([column, row], axis=1) + 0.5
         planes = WindowPlanes.of(seen, clip, faces, jnp.broadcast_to(middle, (5, *middle.shape)), centres.shape)
-        ours, theirs = (jax.tree.map(lambda values, part=part: values[part], planes) for part in (slice(1), slice(1, 5)))
+        ours, theirs = (jax.tree.map(lambda values, of=of: values[of], planes) for of in (slice(1), slice(1, 5)))
         crosses = (around >= 0) & (part(around) != part(seen[:1])) & (ours.depth < theirs.depth)
         to_corners = jnp.broadcast_to(_CORNERS[:, None], (4, *middle.shape))
         crosses = exists & crosses & (theirs.away(to_corners) < ours.away(to_corners))
@@ -122,8 +122,9 @@ def plane_crossings(
     row, column = pixel // width, pixel % width
     middle = jnp.stack([column, row], axis=1) + 0.5
     # Unused ones have one face twice, whose numbers are finite.
-    own, other = (jnp.where(used, faces_at[row, column], 0) for faces_at in (centres, other))
-    ours, theirs = (WindowPlanes.of(face, clip, faces, middle, centres.shape) for face in (own, other))
+    own, other = both = jnp.where(used, jnp.stack([centres[row, column], other[row, column]]), 0)
+    planes = WindowPlanes.of(both, clip, faces, jnp.broadcast_to(middle, (2, *middle.shape)), centres.shape)
+    ours, theirs = (jax.tree.map(lambda values, of=of: values[of], planes) for of in range(2))
 
     # How much deeper the other face is: value + x · a + y · b, from the pixel's centre.
     value = theirs.depth - ours.depth

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
@@ -54,17 +55,15 @@ class Sides(NamedTuple):
         aside = jnp.sum(from_middle * pieces.right, axis=-1)
 
         across = pieces.right * _CLEAR
-        about_middle = lambda face: WindowPlanes.of(
-            face, clip, faces, jnp.broadcast_to(pieces.middle, (*face.shape, 2)), (height, width)
-        )
-        # The nearer of two faces to the left.
         candidates = take(found.left, pieces.segment).T
-        planes = about_middle(candidates)
-        depths = planes.away(jnp.broadcast_to(-across, (*candidates.shape, 2)))
+        every = jnp.concatenate([candidates, sample])
+        about = jnp.broadcast_to(pieces.middle, (*every.shape, 2))
+        planes = WindowPlanes.of(every, clip, faces, about, (height, width))
+        of_left, samples = (jax.tree.map(lambda values, of=of: values[of], planes) for of in (slice(2), slice(2, None)))
+        # The nearer of two faces to the left.
+        depths = of_left.away(jnp.broadcast_to(-across, (*candidates.shape, 2)))
         nearer = jnp.argmin(depths, axis=0)[None]
-        left, depth = (jnp.take_along_axis(values, nearer, axis=0)[0] for values in (candidates, planes.depth))
-
-        samples = about_middle(sample)
+        left, depth = (jnp.take_along_axis(values, nearer, axis=0)[0] for values in (candidates, of_left.depth))
         behind = samples.depth
         steep = jnp.abs(samples.slope_x * across[:, 0] + samples.slope_y * across[:, 1])
         slack = steep + jnp.abs(jnp.min(depths, axis=0) - depth) + _ROUNDING
