@@ -38,8 +38,8 @@ class AntialiasPlan(eqx.Module):
     """What `draw_antialiased` must know of a mesh and a view before it draws inside `jax.jit`.
 
     - `edges`: the mesh's; `creases`: (n,), which of these are creases.
-    - `pieces`: for how many pieces of edges within pixels there is memory; `crossings`: for how many pixels in which two
-        parts of the mesh cross each other.
+    - `pieces`: for how many pieces of edges within pixels there is memory; `crossings`: for how many pixels in which
+        two parts of the mesh cross each other.
     """
 
     edges: Edges
@@ -150,9 +150,7 @@ class _Seen(eqx.Module):
     counts: Int[Array, "2"]
 
     @classmethod
-    def of(
-        cls, mesh: Mesh, camera: AbstractCamera, edges: Edges, creases: Bool[Array, " n"], cull: Cull
-    ) -> "_Seen":
+    def of(cls, mesh: Mesh, camera: AbstractCamera, edges: Edges, creases: Bool[Array, " n"], cull: Cull) -> "_Seen":
         clip = camera.view().clip_vertices(mesh.vertices)
         seen = rasterize_with_corners(clip, mesh.faces, camera.resolution, cull=cull, alpha_test=mesh.alpha_test)
         centres, corners = (fragments.face for fragments in seen)
@@ -176,7 +174,8 @@ def _boundaries(
     corners: Int[Array, "H W"],
 ) -> tuple[Boundaries, FaceMap, Int[Array, "2"]]:
     """The last three fields of `_Seen`."""
-    found = Boundaries.of(clip, faces, edges, creases, cull, centres.shape)
+    height, width = centres.shape
+    found = Boundaries.of(clip, faces, edges, creases, cull, (height, width))
     crossing = crossing_faces(centres, corners, clip, faces, edges.component)
     return found, crossing, jnp.stack([found.count, jnp.sum(crossing >= 0, dtype=jnp.int32)])
 
@@ -222,8 +221,8 @@ def draw_antialiased(
     return eqx.error_if(
         drawn,
         overflow,
-        f"the picture has memory for {pieces} pieces of outlines and creases and for {crossings} pixels in which meshes "
-        "cross, and there are more; expected memory for all: pass a plan with a greater margin",
+        f"the picture has memory for {pieces} pieces of outlines and creases and for {crossings} pixels in which "
+        "meshes cross, and there are more; expected memory for all: pass a plan with a greater margin",
     )
 
 
@@ -234,9 +233,7 @@ def _antialiased(
     """The surface, with memory for so many pieces and crossings, and whether it has all parts of pieces."""
     clip, centres = seen.clip, seen.centres
     height, width = centres.shape
-    found = seen.boundaries.with_crossings(
-        plane_crossings(seen.crossing, centres, clip, mesh.faces, most_crossings)
-    )
+    found = seen.boundaries.with_crossings(plane_crossings(seen.crossing, centres, clip, mesh.faces, most_crossings))
     # Which pieces there are, and what lies beside them, has no derivative.
     fixed, fixed_view, fixed_clip = lax.stop_gradient((found, view, clip))
     behind = adjoining(fixed_view, fixed.segments.depth[:, 0], (height, width))

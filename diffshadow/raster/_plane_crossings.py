@@ -85,6 +85,7 @@ def crossing_faces(
     the nearer one at the centre, and the other one at a corner that sees it.
     """
     height, width = centres.shape
+    resolution = height, width
     clip, flat = lax.stop_gradient(clip), centres.reshape(-1)
     part = lambda face: jnp.where(face >= 0, take(component, jnp.maximum(face, 0)), -1)
     own, at_corners = part(centres), part(corners)
@@ -98,7 +99,7 @@ def crossing_faces(
         around = jnp.stack([corners[row + j, column + i] for j in (0, 1) for i in (0, 1)])
         seen = jnp.concatenate([flat[pixel][None], around])
         middle = jnp.stack([column, row], axis=1) + 0.5
-        planes = WindowPlanes.of(seen, clip, faces, jnp.broadcast_to(middle, (5, *middle.shape)), centres.shape)
+        planes = WindowPlanes.of(seen, clip, faces, jnp.broadcast_to(middle, (5, *middle.shape)), resolution)
         ours, theirs = (jax.tree.map(lambda values, of=of: values[of], planes) for of in (slice(1), slice(1, 5)))
         crosses = (around >= 0) & (part(around) != part(seen[:1])) & (ours.depth < theirs.depth)
         to_corners = jnp.broadcast_to(_CORNERS[:, None], (4, *middle.shape))
@@ -116,6 +117,7 @@ def plane_crossings(
 ) -> PlaneCrossings:
     """The lines in which the centres' faces cross those of `crossing_faces`, in as many pixels as `capacity`."""
     height, width = centres.shape
+    resolution = height, width
     pixels = height * width
     pixel = jnp.nonzero(other.reshape(-1) >= 0, size=max(capacity, 1), fill_value=pixels)[0].astype(jnp.int32)
     used, pixel = pixel < pixels, jnp.minimum(pixel, pixels - 1)
@@ -123,7 +125,7 @@ def plane_crossings(
     middle = jnp.stack([column, row], axis=1) + 0.5
     # Unused ones have one face twice, whose numbers are finite.
     own, other = both = jnp.where(used, jnp.stack([centres[row, column], other[row, column]]), 0)
-    planes = WindowPlanes.of(both, clip, faces, jnp.broadcast_to(middle, (2, *middle.shape)), centres.shape)
+    planes = WindowPlanes.of(both, clip, faces, jnp.broadcast_to(middle, (2, *middle.shape)), resolution)
     ours, theirs = (jax.tree.map(lambda values, of=of: values[of], planes) for of in range(2))
 
     # How much deeper the other face is: value + x · a + y · b, from the pixel's centre.

@@ -203,7 +203,9 @@ class PictureProblem(ArrangedProblem):
 def _larger(plan: AntialiasPlan, before: AntialiasPlan | None) -> AntialiasPlan:
     if before is None:
         return plan
-    return dataclasses.replace(plan, pieces=max(plan.pieces, before.pieces), crossings=max(plan.crossings, before.crossings))
+    return dataclasses.replace(
+        plan, pieces=max(plan.pieces, before.pieces), crossings=max(plan.crossings, before.crossings)
+    )
 
 
 def _overflow(maps: list[ShadowMap], seen: AntialiasedSurface) -> Overflow:
