@@ -29,7 +29,10 @@ from ._plane_crossings import crossing_faces, plane_crossings
 from ._rasterize import NO_FACE
 from ._sides import Sides, adjoining
 from ._surface import Surface, passes_at_points, surface_at_centres, surface_at_points
+from ._within_pixels import points_within_pixels
 
+# Both sides of a line are shaded so far away from it, in pixels.
+_ASIDE = 0.25
 # Memory for fewer pieces and crossings would save no time, and compile more programs.
 _LEAST = 1024, 256
 
@@ -97,6 +100,24 @@ class AntialiasedSurface(eqx.Module):
         rest = self.surface.mask.shape[0] - height
         filled = jnp.zeros((2, rest * width // 2, *image.shape[2:]), image.dtype).at[:, : values.shape[1]].set(values)
         return jnp.concatenate([image, filled.reshape(rest, width, *image.shape[2:])])
+
+    def with_points_within(self, camera: AbstractCamera, side: int) -> Surface:
+        """`surface`, and above it `side` times `side` points within each pixel, from which `mean_within` makes a mean.
+
+        A shadow's outline is narrower than a pixel where the texels of its map are. At centres alone, few pixels see it,
+        and derivatives by where it is are far off.
+        """
+        within = points_within_pixels(self.centres, camera, side)
+        return jax.tree.map(lambda *parts: jnp.concatenate(parts), self.surface, within)
+
+    def mean_within(self, values: Float[Array, "y w"], side: int) -> Float[Array, "H w"]:
+        """Values at the points of `with_points_within`, as values for all points of `surface`: at a pixel's centre, the
+        mean over the pixel, unless it has an outline or a crease."""
+        height, width = self.resolution
+        own, within = jnp.split(values, [values.shape[0] - side**2 * height])
+        mean = jnp.mean(within.reshape(side**2, height, width), axis=0)
+        is_whole = jnp.ones(height * width, bool).at[self.pixel].min(self.area == 0, mode="drop")
+        return own.at[:height].set(jnp.where(is_whole.reshape(height, width), mean, own[:height]))
 
     def resolve(self, image: Float[Array, "H w *c"]) -> Float[Array, "h w *c"]:
         """The mean over each pixel of an image with values for all points of `surface`."""
@@ -245,8 +266,10 @@ def _antialiased(
     in_rows = lambda values, fill: jnp.stack(
         [jnp.pad(side, (0, -count % width), constant_values=fill).reshape(-1, width) for side in values]
     ).reshape(-1, width)
-    at = pieces.nearest * (2 / np.array([width, height])) - 1
-    points = Points(*(in_rows([at[:, k]] * 2, 0) for k in range(2)))
+    # Within each side rather than on the line, where a shadow may begin.
+    aside = _ASIDE * fixed_pieces.right
+    sides_at = [(pieces.nearest + by) * (2 / np.array([width, height])) - 1 for by in (-aside, aside)]
+    points = Points(*(in_rows([at[:, k] for at in sides_at], 0) for k in range(2)))
     of_sides = in_rows([sides.left, sides.right], NO_FACE)
     beside = surface_at_points(mesh, eye, view, of_sides, clip, points)
     surface = jax.tree.map(
