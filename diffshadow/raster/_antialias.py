@@ -101,21 +101,21 @@ class AntialiasedSurface(eqx.Module):
         filled = jnp.zeros((2, rest * width // 2, *image.shape[2:]), image.dtype).at[:, : values.shape[1]].set(values)
         return jnp.concatenate([image, filled.reshape(rest, width, *image.shape[2:])])
 
-    def with_points_within(self, camera: AbstractCamera, side: int) -> Surface:
-        """`surface`, and above it `side` times `side` points within each pixel, from which `mean_within` makes a mean.
+    def with_points_within(self, camera: AbstractCamera, count: int) -> Surface:
+        """`surface`, and above it so many points within each pixel, from which `mean_within` makes a mean.
 
-        A shadow's outline is narrower than a pixel where the texels of its map are. At centres alone, few pixels see it,
-        and derivatives by where it is are far off.
+        A shadow's outline is narrower than a pixel where the texels of its map are. At centres alone, few pixels see
+        it, and derivatives by where it is are far off.
         """
-        within = points_within_pixels(self.centres, camera, side)
+        within = points_within_pixels(self.centres, camera, count)
         return jax.tree.map(lambda *parts: jnp.concatenate(parts), self.surface, within)
 
-    def mean_within(self, values: Float[Array, "y w"], side: int) -> Float[Array, "H w"]:
+    def mean_within(self, values: Float[Array, "y w"], count: int) -> Float[Array, "H w"]:
         """Values at the points of `with_points_within`, as values for all points of `surface`: at a pixel's centre, the
         mean over the pixel, unless it has an outline or a crease."""
         height, width = self.resolution
-        own, within = jnp.split(values, [values.shape[0] - side**2 * height])
-        mean = jnp.mean(within.reshape(side**2, height, width), axis=0)
+        own, within = jnp.split(values, [values.shape[0] - count * height])
+        mean = jnp.mean(within.reshape(count, height, width), axis=0)
         is_whole = jnp.ones(height * width, bool).at[self.pixel].min(self.area == 0, mode="drop")
         return own.at[:height].set(jnp.where(is_whole.reshape(height, width), mean, own[:height]))
 

@@ -13,26 +13,31 @@ from ._surface import Surface
 
 # Of a plane that makes a smaller angle with the direction to the camera, whose sine this is, only one point is known.
 _STEEPEST = 0.03
+# The ratio of a Fibonacci number to the one before.
+_GOLDEN = (1 + 5**0.5) / 2
 
 
-def points_within_pixels(surface: Surface, camera: AbstractCamera, side: int) -> Surface:
-    """`side` times `side` points in each pixel of an image (h, w): the middles of as many equal parts.
+def points_within_pixels(surface: Surface, camera: AbstractCamera, count: int) -> Surface:
+    """So many points in each pixel of an image (h, w): a Fibonacci lattice, if `count` is a Fibonacci number.
 
-    Normals and colours are those of the pixel's centre. So are points of planes that the camera sees nearly edge-on.
+    No two points lie in one row or column of such a lattice, so that it sees narrow lines along these as often as
+    others. Normals and colours are those of the pixel's centre. So are points of planes that the camera sees nearly
+    edge-on.
 
-    **Returns:** an image of (h, w) for each part, one above the other, (side² · h, w). Positions are differentiable.
+    **Returns:** an image of (h, w) for each point, one above the other, (count · h, w). Positions are differentiable.
     """
-    middle = (np.arange(side) + 0.5) / side - 0.5
-    parts = [_moved(surface, camera, x, y) for y in middle for x in middle]
-    several = jax.tree.map(lambda values: jnp.concatenate([values] * side**2), surface)
-    return dataclasses.replace(several, position=jnp.concatenate(parts))
+    x = (np.arange(count) + 0.5) / count
+    y = (np.arange(count) * round(count / _GOLDEN) % count + 0.5) / count
+    each = [_moved(surface, camera, *place) for place in (np.stack([x, y], axis=1) - 0.5).tolist()]
+    several = jax.tree.map(lambda values: jnp.concatenate([values] * count), surface)
+    return dataclasses.replace(several, position=jnp.concatenate(each))
 
 
 def _moved(surface: Surface, camera: AbstractCamera, x: float, y: float) -> VectorMap:
     """Where the ray through a point `x` and `y` pixels away from each centre meets the plane seen at the centre.
 
-    A point p is seen at (X, Y) if a · p + a₃ = 0 and b · p + b₃ = 0, with the rows a = m₀ - X m₃ and b = m₁ - Y m₃ of the
-    matrix to clip space. With e and f the values of both at the centre's point, it moves by
+    A point p is seen at (X, Y) if a · p + a₃ = 0 and b · p + b₃ = 0, with the rows a = m₀ - X m₃ and b = m₁ - Y m₃ of
+    the matrix to clip space. With e and f the values of both at the centre's point, it moves by
 
         -(e (b x n) + f (n x a)) / (n · (a x b))
     """

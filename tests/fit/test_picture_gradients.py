@@ -68,7 +68,9 @@ def bent(scene, by):
 def problem_of(scene):
     """Its problem, with the memory of all others, so that one program serves them."""
     given = fit.PictureProblem.of(scene, TECHNIQUE, np.zeros((SIDE, SIDE, 3))).planned()
-    assert given.plan.pieces <= 2048 and given.plan.crossings <= 512 and given.crossings[0] <= 8192
+    assert given.plan.pieces <= 2048
+    assert given.plan.crossings <= 512
+    assert given.crossings[0] <= 8192
     plan = dataclasses.replace(given.plan, pieces=2048, crossings=512)
     edges = given.edges.padded(512, 1024)
     return dataclasses.replace(given, plan=plan, edges=edges, crossings=(8192,))

@@ -1,7 +1,6 @@
 """Fits to a picture: what is compared is the shaded, antialiased image of a scene."""
 
 import dataclasses
-import math
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -23,8 +22,10 @@ from ._arranged import ArrangedProblem, weighted_difference, widest_texel, with_
 
 # There is memory for so many times the outlines' pieces at the start. If others need more, phases are repeated.
 _MORE_PIECES = 2.0
-# A pixel may be wider than its points' texels by this fraction of one.
-_SLACK = 0.25
+# So many shadow points there may be within a pixel. There is one where texels are wider than two pixels, and else about
+# so many to a row of texels along a side of the pixel.
+_FIBONACCI = 1, 2, 3, 5, 8, 13, 21
+_PER_ROW, _WIDE = 4, 2.0
 
 
 class PictureProblem(ArrangedProblem):
@@ -44,8 +45,8 @@ class PictureProblem(ArrangedProblem):
     - `plan`: as for `draw_antialiased`; `crossings`: of each light's map, as for `draw_shadow_map`. `planned` finds
         both.
     - `edges`, `blur`, `shift`: as for `PoseProblem`.
-    - `shadow_points`: shadows are looked up at so many points along each side of a pixel. `of` takes as many as a pixel
-        is wide in texels of the map, but no more than `MOST_SHADOW_POINTS`.
+    - `shadow_points`: shadows are looked up at so many points within each pixel. `of` takes the more, the wider a pixel
+        is in texels of the map, but no more than `MOST_SHADOW_POINTS` in all.
 
     !!! Example
 
@@ -113,7 +114,7 @@ class PictureProblem(ArrangedProblem):
             given = Arrangement.of_picture(technique, scene, shading or Phong(), exposure)
         texel = widest_texel(scene, technique.map.resolution)
         problem = cls(
-            shadow_points=min(max(math.ceil(1 / texel - _SLACK), 1), MOST_SHADOW_POINTS),
+            shadow_points=_points_for(texel, height * width),
             arrangement=given,
             scene=scene,
             reference=jnp.where(counts[..., None], reference, 0),
@@ -213,13 +214,20 @@ class PictureProblem(ArrangedProblem):
 
 # These are compiled on their own, so that a drawing outside of `jit` shares programs with all others.
 @eqx.filter_jit
-def _points(seen: AntialiasedSurface, camera: AbstractCamera, side: int) -> Surface:
-    return seen.surface if side == 1 else seen.with_points_within(camera, side)
+def _points(seen: AntialiasedSurface, camera: AbstractCamera, count: int) -> Surface:
+    return seen.surface if count == 1 else seen.with_points_within(camera, count)
 
 
 @eqx.filter_jit
-def _over_pixels(seen: AntialiasedSurface, visibility: Float[Array, "y w"], side: int) -> Float[Array, "H w"]:
-    return visibility if side == 1 else seen.mean_within(visibility, side)
+def _over_pixels(seen: AntialiasedSurface, visibility: Float[Array, "y w"], count: int) -> Float[Array, "H w"]:
+    return visibility if count == 1 else seen.mean_within(visibility, count)
+
+
+def _points_for(texel: float, pixels: int) -> int:
+    """How many shadow points there are within each of so many pixels, given how many of them a texel is wide."""
+    needed = 1 if texel >= _WIDE else _PER_ROW / texel
+    allowed = [count for count in _FIBONACCI if count * pixels <= MOST_SHADOW_POINTS] or [1]
+    return next((count for count in allowed if count >= needed), allowed[-1])
 
 
 def _larger(plan: AntialiasPlan, before: AntialiasPlan | None) -> AntialiasPlan:
