@@ -6,6 +6,7 @@ carry the derivative (`_boundaries.py`).
 """
 
 import dataclasses
+import math
 
 import equinox as eqx
 import jax
@@ -14,6 +15,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from .._arithmetic import take
 from .._checks import check_instance
 from .._padding import padded_to, round_up_to_power_of_two
 from .._types import ClipVertices, FaceMap, Faces, Resolution, Vec3
@@ -23,24 +25,30 @@ from ..settings.maps import Cull
 from ._boundaries import Boundaries, Pieces, find_creases
 from ._corners import rasterize_with_corners
 from ._interpolate import Points
-from ._plane_crossings import mixed_pixels, plane_crossings
+from ._plane_crossings import crossing_faces, plane_crossings
 from ._rasterize import NO_FACE
 from ._sides import Sides, adjoining
 from ._surface import Surface, passes_at_points, surface_at_centres, surface_at_points
+from ._within_pixels import points_within_pixels
+
+# Both sides of a line are shaded so far away from it, in pixels.
+_ASIDE = 0.25
+# Memory for fewer pieces and crossings would save no time, and compile more programs.
+_LEAST = 1024, 256
 
 
 class AntialiasPlan(eqx.Module):
     """What `draw_antialiased` must know of a mesh and a view before it draws inside `jax.jit`.
 
     - `edges`: the mesh's; `creases`: (n,), which of these are creases.
-    - `pieces`: for how many pieces of edges within pixels there is memory; `mixed`: for how many pixels that see two
-        parts of the mesh, which may cross each other.
+    - `pieces`: for how many pieces of edges within pixels there is memory; `crossings`: for how many pixels in which
+        two parts of the mesh cross each other.
     """
 
     edges: Edges
     creases: Bool[Array, " n"]
     pieces: int = eqx.field(static=True)
-    mixed: int = eqx.field(static=True)
+    crossings: int = eqx.field(static=True)
 
 
 class AntialiasedSurface(eqx.Module):
@@ -70,19 +78,46 @@ class AntialiasedSurface(eqx.Module):
         Each further point takes the value of that of the nine pixels around it whose surface is nearest in the world.
         """
         height, width = self.resolution
-        pixel = jnp.minimum(self.pixel, height * width - 1)
-        row, column = (jnp.tile(at, 2)[:, None] for at in (pixel // width, pixel % width))
-        offset = np.arange(9, dtype=np.int32)
-        rows, columns = jnp.clip(row + offset // 3 - 1, 0, height - 1), jnp.clip(column + offset % 3 - 1, 0, width - 1)
+        pixel = jnp.tile(jnp.minimum(self.pixel, height * width - 1), 2)
+        row, column = pixel // width, pixel % width
         others = lambda values: values[height:].reshape(2, -1, *values.shape[2:])[:, : self.pixel.shape[0]]
-        point = others(self.surface.position).reshape(-1, 1, 3)
-        away = jnp.sum((self.surface.position[rows, columns] - point) ** 2, axis=-1)
-        nearest = jnp.argmin(jnp.where(self.surface.mask[rows, columns], away, jnp.inf), axis=1)[:, None]
-        at = (jnp.take_along_axis(index, nearest, axis=1)[:, 0] for index in (rows, columns))
-        values = image[tuple(at)].reshape(2, -1, *image.shape[2:])
+        positions = lax.stop_gradient(self.surface.position)
+        point, known = others(positions).reshape(-1, 3), self.surface.mask[:height].reshape(-1)
+        at_centres = positions[:height].reshape(-1, 3)
+
+        def nearer(number: Int[Array, ""], found: tuple[Array, Array]) -> tuple[Array, Array]:
+            """The nearest of the first pixels around each, and how far away it is, squared."""
+            away, at = found
+            beside_row = jnp.clip(row + number // 3 - 1, 0, height - 1)
+            index = beside_row * width + jnp.clip(column + number % 3 - 1, 0, width - 1)
+            squared = jnp.where(take(known, index), jnp.sum((take(at_centres, index) - point) ** 2, axis=-1), jnp.inf)
+            return jnp.minimum(away, squared), jnp.where(squared < away, index, at)
+
+        first = jnp.full(pixel.shape, jnp.inf, positions.dtype), pixel
+        _, nearest = lax.fori_loop(0, 9, nearer, first)
+        values = take(image.reshape(height * width, *image.shape[2:]), nearest)
+        values = values.reshape(2, -1, *image.shape[2:])
         rest = self.surface.mask.shape[0] - height
         filled = jnp.zeros((2, rest * width // 2, *image.shape[2:]), image.dtype).at[:, : values.shape[1]].set(values)
         return jnp.concatenate([image, filled.reshape(rest, width, *image.shape[2:])])
+
+    def with_points_within(self, camera: AbstractCamera, count: int) -> Surface:
+        """`surface`, and above it so many points within each pixel, from which `mean_within` makes a mean.
+
+        A shadow's outline is narrower than a pixel where the texels of its map are. At centres alone, few pixels see
+        it, and derivatives by where it is are far off.
+        """
+        within = points_within_pixels(self.centres, camera, count)
+        return jax.tree.map(lambda *parts: jnp.concatenate(parts), self.surface, within)
+
+    def mean_within(self, values: Float[Array, "y w"], count: int) -> Float[Array, "H w"]:
+        """Values at the points of `with_points_within`, as values for all points of `surface`: at a pixel's centre, the
+        mean over the pixel, unless it has an outline or a crease."""
+        height, width = self.resolution
+        own, within = jnp.split(values, [values.shape[0] - count * height])
+        mean = jnp.mean(within.reshape(count, height, width), axis=0)
+        is_whole = jnp.ones(height * width, bool).at[self.pixel].min(self.area == 0, mode="drop")
+        return own.at[:height].set(jnp.where(is_whole.reshape(height, width), mean, own[:height]))
 
     def resolve(self, image: Float[Array, "H w *c"]) -> Float[Array, "h w *c"]:
         """The mean over each pixel of an image with values for all points of `surface`."""
@@ -104,21 +139,53 @@ def plan_antialiasing(
     **Raises** `ValueError` under a trace.
     """
     mesh = as_mesh(mesh)
+    edges, creases = _edges_of(mesh)
+    seen = _Seen.of(mesh.padded(), camera, edges, creases, cull)
+    return AntialiasPlan(edges, creases, *seen.sizes(margin))
+
+
+def _edges_of(mesh: Mesh) -> tuple[Edges, Bool[Array, " n"]]:
+    """The edges of a mesh, padded, and which of these are creases.
+
+    **Raises** `ValueError` under a trace.
+    """
     edges = Edges.of(mesh)
     creases = find_creases(mesh, edges)
-    mesh = mesh.padded()
-    edges = edges.padded(mesh.faces.shape[0])
-    creases = jnp.asarray(padded_to(creases, edges.vertices.shape[0]))
-    clip = camera.view().clip_vertices(mesh.vertices)
-    centres, corners = rasterize_with_corners(
-        clip, mesh.faces, camera.resolution, cull=cull, alpha_test=mesh.alpha_test
-    )
-    needed = _count(clip, mesh.faces, edges, creases, cull, centres.face, corners.face)
-    return AntialiasPlan(edges, creases, *(round_up_to_power_of_two(int(margin * int(count))) for count in needed))
+    edges = edges.padded(mesh.padded().faces.shape[0])
+    return edges, jnp.asarray(padded_to(creases, edges.vertices.shape[0]))
+
+
+class _Seen(eqx.Module):
+    """What a camera sees of a mesh, before there is memory for what its pixels have several of.
+
+    - `clip`: (v, 4); `centres`: (h, w), the faces at pixel centres; `corners`: (h + 1, w + 1), at the corners.
+    - `boundaries`: all of the mesh's in this view; `crossing`: (h, w), see `crossing_faces`.
+    - `counts`: (2,), how many pieces of boundaries there are, and how many pixels in which meshes cross.
+    """
+
+    clip: ClipVertices
+    centres: FaceMap
+    corners: Int[Array, "H W"]
+    boundaries: Boundaries
+    crossing: FaceMap
+    counts: Int[Array, "2"]
+
+    @classmethod
+    def of(cls, mesh: Mesh, camera: AbstractCamera, edges: Edges, creases: Bool[Array, " n"], cull: Cull) -> "_Seen":
+        clip = camera.view().clip_vertices(mesh.vertices)
+        seen = rasterize_with_corners(clip, mesh.faces, camera.resolution, cull=cull, alpha_test=mesh.alpha_test)
+        centres, corners = (fragments.face for fragments in seen)
+        return cls(clip, centres, corners, *_boundaries(clip, mesh.faces, edges, creases, cull, centres, corners))
+
+    def sizes(self, margin: float) -> tuple[int, int]:
+        """For how many pieces and crossings to have memory, at least `margin` times as many as there are."""
+        needed = (math.ceil(margin * int(count)) for count in np.asarray(self.counts))
+        pieces, crossings = (max(round_up_to_power_of_two(n), least) for n, least in zip(needed, _LEAST, strict=True))
+        return pieces, crossings
 
 
 @eqx.filter_jit
-def _count(
+def _boundaries(
     clip: ClipVertices,
     faces: Faces,
     edges: Edges,
@@ -126,11 +193,12 @@ def _count(
     cull: Cull,
     centres: FaceMap,
     corners: Int[Array, "H W"],
-) -> tuple[Int[Array, ""], Int[Array, ""]]:
-    """How many pieces of edges there are, and pixels that see two parts of the mesh."""
+) -> tuple[Boundaries, FaceMap, Int[Array, "2"]]:
+    """The last three fields of `_Seen`."""
     height, width = centres.shape
-    pieces = Boundaries.of(clip, faces, edges, creases, cull, (height, width)).count
-    return pieces, jnp.sum(mixed_pixels(centres, corners, edges.component))
+    found = Boundaries.of(clip, faces, edges, creases, cull, (height, width))
+    crossing = crossing_faces(centres, corners, clip, faces, edges.component)
+    return found, crossing, jnp.stack([found.count, jnp.sum(crossing >= 0, dtype=jnp.int32)])
 
 
 def draw_antialiased(
@@ -163,50 +231,45 @@ def draw_antialiased(
     """
     check_instance("the camera", camera, AbstractCamera, "a camera, such as a PinholeCamera")
     mesh = as_mesh(mesh)
-    if plan is None:
-        plan = plan_antialiasing(mesh, camera, cull=cull)
+    edges, creases = _edges_of(mesh) if plan is None else (plan.edges, plan.creases)
     mesh = mesh.padded()
-    view, resolution = camera.view(), camera.resolution
-    clip = view.clip_vertices(mesh.vertices)
-    centres, corners = rasterize_with_corners(clip, mesh.faces, resolution, cull=cull, alpha_test=mesh.alpha_test)
-    drawn, pieces, mixed = _antialiased(mesh, camera.eye, view, centres.face, corners.face, clip, plan, cull)
-    overflow = (pieces > plan.pieces) | (mixed > plan.mixed)
+    seen = _Seen.of(mesh, camera, edges, creases, cull)
+    pieces, crossings = seen.sizes(1.0) if plan is None else (plan.pieces, plan.crossings)
+    drawn, has_all_parts = _antialiased(mesh, camera.eye, camera.view(), seen, edges, pieces, crossings)
+    overflow = (seen.counts[0] > pieces) | (seen.counts[1] > crossings) | ~has_all_parts
     if not raises:
         return dataclasses.replace(drawn, overflow=overflow)
     return eqx.error_if(
         drawn,
         overflow,
-        f"the picture has memory for {plan.pieces} pieces of outlines and creases and for {plan.mixed} pixels that see "
-        "two parts of the mesh, and there are more; expected memory for all: pass a plan with a greater margin",
+        f"the picture has memory for {pieces} pieces of outlines and creases and for {crossings} pixels in which "
+        "meshes cross, and there are more; expected memory for all: pass a plan with a greater margin",
     )
 
 
 @eqx.filter_jit
 def _antialiased(
-    mesh: Mesh,
-    eye: Vec3,
-    view: View,
-    centres: FaceMap,
-    corners: Int[Array, "H W"],
-    clip: ClipVertices,
-    plan: AntialiasPlan,
-    cull: Cull,
-) -> tuple[AntialiasedSurface, Int[Array, ""], Int[Array, ""]]:
+    mesh: Mesh, eye: Vec3, view: View, seen: _Seen, edges: Edges, most: int, most_crossings: int
+) -> tuple[AntialiasedSurface, Bool[Array, ""]]:
+    """The surface, with memory for so many pieces and crossings, and whether it has all parts of pieces."""
+    clip, centres = seen.clip, seen.centres
     height, width = centres.shape
-    edges = Boundaries.of(clip, mesh.faces, plan.edges, plan.creases, cull, (height, width))
-    component = plan.edges.component
-    mixed = mixed_pixels(centres, corners, component)
-    found = edges.with_crossings(plane_crossings(mixed, centres, corners, clip, mesh.faces, component, plan.mixed))
-    behind = lax.stop_gradient(adjoining(view, found.segments.depth[:, 0], (height, width)))
-    pieces = Pieces.of(found, (height, width), plan.pieces + max(plan.mixed, 1), behind)
-    sides = lax.stop_gradient(Sides.of(pieces, found, view, clip, mesh.faces, plan.edges, centres, corners))
+    found = seen.boundaries.with_crossings(plane_crossings(seen.crossing, centres, clip, mesh.faces, most_crossings))
+    # Which pieces there are, and what lies beside them, has no derivative.
+    fixed, fixed_view, fixed_clip = lax.stop_gradient((found, view, clip))
+    behind = adjoining(fixed_view, fixed.segments.depth[:, 0], (height, width))
+    pieces = Pieces.of(found, (height, width), most + max(most_crossings, 1), behind)
+    fixed_pieces = lax.stop_gradient(pieces)
+    sides = Sides.of(fixed_pieces, fixed, fixed_view, fixed_clip, mesh.faces, edges, centres, seen.corners)
     # Both sides, in whole rows.
     count = pieces.pixel.shape[0]
     in_rows = lambda values, fill: jnp.stack(
         [jnp.pad(side, (0, -count % width), constant_values=fill).reshape(-1, width) for side in values]
     ).reshape(-1, width)
-    at = pieces.nearest * (2 / np.array([width, height])) - 1
-    points = Points(*(in_rows([at[:, k]] * 2, 0) for k in range(2)))
+    # Within each side rather than on the line, where a shadow may begin.
+    aside = _ASIDE * fixed_pieces.right
+    sides_at = [(pieces.nearest + by) * (2 / np.array([width, height])) - 1 for by in (-aside, aside)]
+    points = Points(*(in_rows([at[:, k] for at in sides_at], 0) for k in range(2)))
     of_sides = in_rows([sides.left, sides.right], NO_FACE)
     beside = surface_at_points(mesh, eye, view, of_sides, clip, points)
     surface = jax.tree.map(
@@ -218,4 +281,4 @@ def _antialiased(
         left, right = passes_at_points(mesh, of_sides, clip, points).reshape(2, -1)[:, :count]
         in_sight = in_sight & left & right
     area = jnp.where(in_sight, pieces.beyond + sides.correction, 0)
-    return AntialiasedSurface(surface, pieces.pixel, area, (height, width)), edges.count, jnp.sum(mixed)
+    return AntialiasedSurface(surface, pieces.pixel, area, (height, width)), pieces.is_whole

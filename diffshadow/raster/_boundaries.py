@@ -5,7 +5,7 @@ jumps between two faces that are both seen. Where two meshes cross each other, t
 finds these lines.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -30,6 +30,8 @@ _SAME = 1e-3
 _TIE = 1e-4
 # Of the pieces in one pixel, so many on either side in their list are tested for crossings.
 _NEIGHBOURS = 3
+# One of so many pieces may be cut by another.
+_CUT = 4
 
 
 class Boundaries(eqx.Module):
@@ -112,6 +114,7 @@ class Pieces(eqx.Module):
         the centre lies to its right.
     - `wall`: (n, 3), the line x · p_x + y · p_y + c = 0 of another piece that ends this one; zeros for none.
     - `hidden`: (n,), whether another piece's surface is known to hide it.
+    - `is_whole`: whether there is memory for both parts of all that another piece ends.
     """
 
     pixel: Int[Array, " n"]
@@ -123,6 +126,7 @@ class Pieces(eqx.Module):
     beyond: Float[Array, " n"]
     wall: Float[Array, "n 3"]
     hidden: Bool[Array, " n"]
+    is_whole: Bool[Array, ""]
 
     @classmethod
     def of(cls, found: Boundaries, shape: Resolution, capacity: int, adjoining: Float[Array, " m"]) -> "Pieces":
@@ -160,15 +164,18 @@ class Pieces(eqx.Module):
         ends = jnp.stack([at(first), at(last)], axis=1), jnp.stack([depth(first), depth(last)], axis=1)
         cut, wall, is_hidden = _junctions(pixel, height * width, *ends, take(adjoining, segment))
         # Those that are cut have a second part.
-        again = jnp.nonzero(cut < 1, size=max(capacity // 4, 1), fill_value=capacity - 1)[0]
+        is_cut = cut < 1
+        again = jnp.nonzero(is_cut, size=max(capacity // _CUT, 1), fill_value=0)[0]
+        cuts = jnp.sum(is_cut)
         both = lambda values: jnp.concatenate([values, values[again]])
-        is_second = jnp.arange(capacity + again.size) >= capacity
+        number = jnp.arange(capacity + again.size)
+        is_second = number >= capacity
         first, last, cut, segment, pixel, wall, is_hidden = map(
             both, (first, last, cut, segment, pixel, wall, is_hidden)
         )
         part = first + cut * (last - first)
         first, last = jnp.where(is_second, part, first), jnp.where(is_second | (cut >= 1), last, part)
-        pixel = jnp.where(is_second & (cut >= 1), height * width, pixel)
+        pixel = jnp.where(number >= capacity + cuts, height * width, pixel)
 
         exists = pixel < height * width
         start, end = take(start, segment), take(end, segment)
@@ -202,6 +209,7 @@ class Pieces(eqx.Module):
             wall=wall,
             # The part of a cut piece that begins or ends on the left of its wall is behind that wall's surface.
             hidden=is_hidden & (jnp.sum(wall[:, :2] * middle, axis=1) + wall[:, 2] < 0),
+            is_whole=cuts <= again.size,
         )
 
 
@@ -217,37 +225,47 @@ def _junctions(
     **Returns:** the fraction of the piece's length at which it does, 1 for nowhere; the other's line, negative to its
     left; and whether the other is the nearer one.
     """
+    # Sorted by pixel, neighbours in the list are those a few places before and behind.
     order = jnp.argsort(pixel, stable=True)
-    sorted_pixel = pixel[order]
-    rank = jnp.zeros_like(order).at[order].set(jnp.arange(order.size, dtype=order.dtype))
-    cut, wall, is_behind = jnp.ones(pixel.size), jnp.zeros((pixel.size, 3)), jnp.zeros(pixel.size, bool)
-    cross = lambda a, b: a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-    start, along = place[:, 0], place[:, 1] - place[:, 0]
+    along, deeper = place[:, 1] - place[:, 0], depth[:, 1] - depth[:, 0]
+    columns = pixel, *place[:, 0].T, *along.T, depth[:, 0], deeper, adjoining
+    own = _InPixel(*(take(column, order) for column in columns))
+    padded = jax.tree.map(lambda column: jnp.pad(column, _NEIGHBOURS, constant_values=none), own)
 
     def with_neighbour(k: Int[Array, ""], state: Any) -> Any:
         """Looks at the neighbour of each piece that is `k` places before or behind it."""
-        cut, wall, is_behind = state
-        at = rank + jnp.where(k % 2 == 0, 1, -1) * (k // 2 + 1)
-        inside = (at >= 0) & (at < pixel.size)
-        at = jnp.clip(at, 0, pixel.size - 1)
-        other = order[at]
-        inside = inside & (sorted_pixel[at] == pixel) & (pixel < none)
-        gap, direction = start[other] - start, along[other]
-        turn = cross(along, direction)
-        own, others = (safe_divide(cross(gap, way), turn) for way in (direction, along))
-        crosses = inside & (own > 0) & (own < 1) & (others > 0) & (others < 1) & (turn != 0)
-        z, other_z = depth[:, 0] + own * (depth[:, 1] - depth[:, 0]), depth[other, 0]
-        other_z = other_z + others * (depth[other, 1] - other_z)
-        counts = crosses & (jnp.abs(z - other_z) > jnp.maximum(adjoining, adjoining[other])) & (cut >= 1)
-        right = direction[:, ::-1] * np.array([1, -1])
-        line = jnp.concatenate([right, -jnp.sum(right * start[other], axis=1, keepdims=True)], axis=1)
-        return (
-            jnp.where(counts, own, cut),
-            jnp.where(counts[:, None], line, wall),
-            jnp.where(counts, z > other_z, is_behind),
-        )
+        first = _NEIGHBOURS + jnp.where(k % 2 == 0, 1, -1) * (k // 2 + 1)
+        other = jax.tree.map(lambda column: lax.dynamic_slice_in_dim(column, first, pixel.size), padded)
+        gap_x, gap_y = other.x - own.x, other.y - own.y
+        turn = own.along_x * other.along_y - own.along_y * other.along_x
+        here = safe_divide(gap_x * other.along_y - gap_y * other.along_x, turn)
+        there = safe_divide(gap_x * own.along_y - gap_y * own.along_x, turn)
+        crosses = (other.pixel == own.pixel) & (own.pixel < none) & (turn != 0)
+        crosses = crosses & (here > 0) & (here < 1) & (there > 0) & (there < 1)
+        behind = own.z + here * own.deeper - (other.z + there * other.deeper)
+        counts = crosses & (jnp.abs(behind) > jnp.maximum(own.adjoining, other.adjoining)) & (state[0] >= 1)
+        line = other.along_y, -other.along_x, other.along_x * other.y - other.along_y * other.x
+        return tuple(jnp.where(counts, *each) for each in zip((here, *line, behind > 0), state, strict=True))
 
-    return lax.fori_loop(0, 2 * _NEIGHBOURS, with_neighbour, (cut, wall, is_behind))
+    zero = jnp.zeros(pixel.size)
+    found = lax.fori_loop(0, 2 * _NEIGHBOURS, with_neighbour, (zero + 1, zero, zero, zero, zero > 0))
+    back = jnp.zeros_like(order).at[order].set(jnp.arange(order.size, dtype=order.dtype), unique_indices=True)
+    cut, *line, is_behind = (take(column, back) for column in found)
+    return cut, jnp.stack(line, axis=1), is_behind
+
+
+class _InPixel(NamedTuple):
+    """Pieces (n,): their pixels, where they start, how they go on from there, the depths of their starts, how much
+    deeper they end, and how much deeper what adjoins them may be."""
+
+    pixel: Int[Array, " n"]
+    x: Float[Array, " n"]
+    y: Float[Array, " n"]
+    along_x: Float[Array, " n"]
+    along_y: Float[Array, " n"]
+    z: Float[Array, " n"]
+    deeper: Float[Array, " n"]
+    adjoining: Float[Array, " n"]
 
 
 def _between_lines(

@@ -1,11 +1,13 @@
 """What the pixels of an image see at their centres, and at their corners."""
 
+from functools import partial
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from .._arithmetic import as_array
@@ -32,18 +34,16 @@ def rasterize_with_corners(
     Both are views of one drawing, so that the rasterizer is compiled once. Arguments as for `rasterize`.
     """
     height, width = resolution
+    how = {"cull": cull, "depth_test": depth_test, "polygon_offset": polygon_offset, "alpha_test": alpha_test}
+    if not (isinstance(clip, Tracer) or isinstance(faces, Tracer)):
+        # They share a program anyway, and need not be put together.
+        draw = partial(rasterize, faces=faces, buffer=(height + 1, width + 1), **how)
+        return draw(clip, resolution=resolution), draw(
+            _about_corners(clip, resolution), resolution=(height + 1, width + 1)
+        )
     views = _centres_and_corners(clip, resolution)
     sides = np.repeat(np.array([[height, width], [height + 1, width + 1]], np.int32), len(views) // 2, axis=0)
-    seen = rasterize(
-        views,
-        faces,
-        (height + 1, width + 1),
-        cull=cull,
-        depth_test=depth_test,
-        polygon_offset=polygon_offset,
-        viewports=as_array(sides),
-        alpha_test=alpha_test,
-    )
+    seen = rasterize(views, faces, (height + 1, width + 1), viewports=as_array(sides), **how)
     return _parted(seen, clip.shape[:-2], resolution)
 
 
@@ -54,6 +54,7 @@ def _centres_and_corners(clip: Float[Array, "*l v 4"], resolution: Resolution) -
     return jnp.concatenate([layers, _about_corners(layers, resolution)])
 
 
+@eqx.filter_jit
 def _about_corners(clip: Float[Array, "*l v 4"], resolution: Resolution) -> Float[Array, "*l v 4"]:
     """Clip coordinates of an image whose pixel centres are the corners of the image's pixels."""
     height, width = resolution

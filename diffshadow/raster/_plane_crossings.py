@@ -6,6 +6,7 @@ line. It is looked for within each pixel whose centre and corners see faces of d
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -13,11 +14,51 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._arithmetic import safe_divide, take
 from .._types import ClipVertices, FaceMap, Faces, Resolution
+from ._items import Items
+from ._rasterize import NO_FACE
 
 # Corners of a pixel, from its centre.
 _CORNERS = np.array([[-0.5, -0.5], [0.5, -0.5], [-0.5, 0.5], [0.5, 0.5]], np.float32)
 # Half a pixel, but for as little as keeps the ends of lines off the grid's lines.
 _INSIDE = 0.4999
+# How many pixels are looked at together.
+_AT_ONCE = 2048
+
+
+class WindowPlanes(NamedTuple):
+    """Window depth over the window of the planes of faces: `depth` (*n) at the places that they were made about, and
+    `slope_x`, `slope_y` (*n), its changes a pixel. The depth is infinite where there is no face."""
+
+    depth: Float[Array, "*n"]
+    slope_x: Float[Array, "*n"]
+    slope_y: Float[Array, "*n"]
+
+    @classmethod
+    def of(
+        cls,
+        face: Int[Array, "*n"],
+        clip: ClipVertices,
+        faces: Faces,
+        about: Float[Array, "*n 2"],
+        resolution: Resolution,
+    ) -> "WindowPlanes":
+        """The planes of faces about places in pixels; the formula is that of `_interpolate._depth_planes`."""
+        height, width = resolution
+        corners = take(faces, jnp.maximum(face, 0))
+        x, y, z, w = ([take(clip[:, c], corners[..., k]) for k in range(3)] for c in range(4))
+        X, Y = about[..., 0] * (2 / width) - 1, about[..., 1] * (2 / height) - 1
+        x, y = [x[k] - X * w[k] for k in range(3)], [y[k] - Y * w[k] for k in range(3)]
+        total = lambda a, b: a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+        pairs = ((1, 2), (2, 0), (0, 1))
+        by_x, by_y, here = ([a[i] * b[j] - a[j] * b[i] for i, j in pairs] for a, b in ((y, w), (w, x), (x, y)))
+        determinant = total(here, w)
+        slope = lambda column, size: jnp.where(face >= 0, safe_divide(total(column, z), determinant) / size, 0)
+        depth = jnp.where(face >= 0, safe_divide(total(here, z), determinant, 1.0) * 0.5 + 0.5, jnp.inf)
+        return cls(depth, slope(by_x, width), slope(by_y, height))
+
+    def away(self, by: Float[Array, "*n 2"]) -> Float[Array, "*n"]:
+        """The depth so many pixels away."""
+        return self.depth + self.slope_x * by[..., 0] + self.slope_y * by[..., 1]
 
 
 class PlaneCrossings(NamedTuple):
@@ -35,50 +76,61 @@ class PlaneCrossings(NamedTuple):
     used: Bool[Array, " m"]
 
 
-def mixed_pixels(centres: FaceMap, corners: Int[Array, "H W"], component: Int[Array, " p"]) -> Bool[Array, "h w"]:
-    """Which pixels see one part of the mesh at their centre and another one at a corner, by the `component` (p,) that
-    each face belongs to."""
+def crossing_faces(
+    centres: FaceMap, corners: Int[Array, "H W"], clip: ClipVertices, faces: Faces, component: Int[Array, " p"]
+) -> FaceMap:
+    """Of each pixel, the face that crosses within it the one that its centre sees; `NO_FACE` for none.
+
+    The two are of different parts of the mesh, by the `component` (p,) that each face belongs to. The centre's face is
+    the nearer one at the centre, and the other one at a corner that sees it.
+    """
     height, width = centres.shape
+    resolution = height, width
+    clip, flat = lax.stop_gradient(clip), centres.reshape(-1)
     part = lambda face: jnp.where(face >= 0, take(component, jnp.maximum(face, 0)), -1)
     own, at_corners = part(centres), part(corners)
-    around = [at_corners[j : j + height, i : i + width] for j in (0, 1) for i in (0, 1)]
-    return (own >= 0) & sum([(other >= 0) & (other != own) for other in around], jnp.zeros(centres.shape, bool))
+    others = [at_corners[j : j + height, i : i + width] for j in (0, 1) for i in (0, 1)]
+    mixed = (own >= 0) & sum([(other >= 0) & (other != own) for other in others], jnp.zeros(centres.shape, bool))
+    items = Items.of(mixed.reshape(-1).astype(jnp.int32))
+
+    def some(number: Int[Array, ""], found: Int[Array, " n"]) -> Int[Array, " n"]:
+        pixel, _, exists = items.chunk(number * _AT_ONCE, _AT_ONCE)
+        row, column = pixel // width, pixel % width
+        around = jnp.stack([corners[row + j, column + i] for j in (0, 1) for i in (0, 1)])
+        seen = jnp.concatenate([flat[pixel][None], around])
+        middle = jnp.stack([column, row], axis=1) + 0.5
+        planes = WindowPlanes.of(seen, clip, faces, jnp.broadcast_to(middle, (5, *middle.shape)), resolution)
+        ours, theirs = (jax.tree.map(lambda values, of=of: values[of], planes) for of in (slice(1), slice(1, 5)))
+        crosses = (around >= 0) & (part(around) != part(seen[:1])) & (ours.depth < theirs.depth)
+        to_corners = jnp.broadcast_to(_CORNERS[:, None], (4, *middle.shape))
+        crosses = exists & crosses & (theirs.away(to_corners) < ours.away(to_corners))
+        other = jnp.take_along_axis(around, jnp.argmax(crosses, axis=0)[None], axis=0)[0]
+        other = jnp.where(jnp.any(crosses, axis=0), other, NO_FACE)
+        return found.at[jnp.where(exists, pixel, found.size)].set(other, mode="drop")
+
+    none = jnp.full(height * width, NO_FACE, centres.dtype)
+    return lax.fori_loop(0, (items.total + (_AT_ONCE - 1)) // _AT_ONCE, some, none).reshape(height, width)
 
 
 def plane_crossings(
-    mixed: Bool[Array, "h w"],
-    centres: FaceMap,
-    corners: Int[Array, "H W"],
-    clip: ClipVertices,
-    faces: Faces,
-    component: Int[Array, " p"],
-    capacity: int,
+    other: FaceMap, centres: FaceMap, clip: ClipVertices, faces: Faces, capacity: int
 ) -> PlaneCrossings:
-    """The lines in which meshes cross, in as many of the `mixed` pixels as `capacity`."""
+    """The lines in which the centres' faces cross those of `crossing_faces`, in as many pixels as `capacity`."""
     height, width = centres.shape
+    resolution = height, width
     pixels = height * width
-    pixel = jnp.nonzero(mixed.reshape(-1), size=max(capacity, 1), fill_value=pixels)[0].astype(jnp.int32)
+    pixel = jnp.nonzero(other.reshape(-1) >= 0, size=max(capacity, 1), fill_value=pixels)[0].astype(jnp.int32)
     used, pixel = pixel < pixels, jnp.minimum(pixel, pixels - 1)
     row, column = pixel // width, pixel % width
-    own, middle = centres[row, column], jnp.stack([column, row], axis=1) + 0.5
-    # The centre's face is the nearer one at the centre, and the other one at the corner that sees it.
-    depth_of = lambda face, at: window_depth(face, clip, faces, at, (height, width))
-    around = jnp.stack([corners[row + j, column + i] for j in (0, 1) for i in (0, 1)])
-    at_corners = middle + _CORNERS[:, None]
-    ours = jnp.broadcast_to(own, around.shape)
-    part = lambda face: take(component, jnp.maximum(face, 0))
-    crosses = (around >= 0) & (part(around) != part(ours))
-    crosses = crosses & (depth_of(own, middle) < depth_of(around, jnp.broadcast_to(middle, at_corners.shape)))
-    crosses = crosses & (depth_of(around, at_corners) < depth_of(ours, at_corners))
-    other = jnp.take_along_axis(around, jnp.argmax(crosses, axis=0)[None], axis=0)[0]
-    used = used & jnp.any(crosses, axis=0)
-    # Others have one face twice, whose numbers are finite.
-    own, other = jnp.where(used, own, 0), jnp.where(used, other, 0)
+    middle = jnp.stack([column, row], axis=1) + 0.5
+    # Unused ones have one face twice, whose numbers are finite.
+    own, other = both = jnp.where(used, jnp.stack([centres[row, column], other[row, column]]), 0)
+    planes = WindowPlanes.of(both, clip, faces, jnp.broadcast_to(middle, (2, *middle.shape)), resolution)
+    ours, theirs = (jax.tree.map(lambda values, of=of: values[of], planes) for of in range(2))
 
     # How much deeper the other face is: value + x · a + y · b, from the pixel's centre.
-    places = [middle + np.array(offset, np.float32) for offset in ((0, 0), (1, 0), (0, 1))]
-    value, along_x, along_y = (depth_of(other, place) - depth_of(own, place) for place in places)
-    slope = jnp.stack([along_x - value, along_y - value], axis=1)
+    value = theirs.depth - ours.depth
+    slope = jnp.stack([theirs.slope_x - ours.slope_x, theirs.slope_y - ours.slope_y], axis=1)
     normal, offset = lax.stop_gradient((slope, value))
     squared = jnp.sum(normal**2, axis=1, keepdims=True)
     # From the point of the line closest to the centre, as far as the pixel's sides, with the nearer face to the left.
@@ -99,19 +151,4 @@ def plane_crossings(
 
     ends = [jnp.where(used[:, None], foot + jnp.where(used[:, None], t, 0) * way, 0) for t in (first, last)]
     start, end = map(moving, ends)
-    return PlaneCrossings(start, end, depth_of(own, (start + end) / 2), own, other, used)
-
-
-def window_depth(
-    face: Int[Array, "*n"], clip: ClipVertices, faces: Faces, at: Float[Array, "*n 2"], resolution: Resolution
-) -> Float[Array, "*n"]:
-    """Window depth of the planes of faces at places in pixels; infinite where there is no face."""
-    height, width = resolution
-    corners = take(faces, jnp.maximum(face, 0))
-    x, y, z, w = ([take(clip[:, c], corners[..., k]) for k in range(3)] for c in range(4))
-    X, Y = at[..., 0] * (2 / width) - 1, at[..., 1] * (2 / height) - 1
-    x, y = [x[k] - X * w[k] for k in range(3)], [y[k] - Y * w[k] for k in range(3)]
-    areas = [x[i] * y[j] - x[j] * y[i] for i, j in ((1, 2), (2, 0), (0, 1))]
-    mean = lambda values: areas[0] * values[0] + areas[1] * values[1] + areas[2] * values[2]
-    depth = safe_divide(mean(z), mean(w), 1.0) * 0.5 + 0.5
-    return jnp.where(face >= 0, depth, jnp.inf)
+    return PlaneCrossings(start, end, ours.away((start + end) / 2 - middle), own, other, used)

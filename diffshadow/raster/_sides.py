@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
@@ -10,7 +11,7 @@ from .._arithmetic import take
 from .._types import ClipVertices, FaceMap, Faces, Resolution
 from ..geometry import NO_NEIGHBOUR, Edges, View
 from ._boundaries import Boundaries, Pieces
-from ._plane_crossings import window_depth
+from ._plane_crossings import WindowPlanes
 from ._rasterize import NO_FACE
 
 # Samples closer to a line than this, in pixels, may lie on its other side by the rasterizer's rounding.
@@ -53,18 +54,18 @@ class Sides(NamedTuple):
         from_middle = place - pieces.middle
         aside = jnp.sum(from_middle * pieces.right, axis=-1)
 
-        depth_of = lambda face, at: window_depth(face, clip, faces, at, (height, width))
-        middle, across = pieces.middle, pieces.right * _CLEAR
+        across = pieces.right * _CLEAR
+        candidates = take(found.left, pieces.segment).T
+        every = jnp.concatenate([candidates, sample])
+        about = jnp.broadcast_to(pieces.middle, (*every.shape, 2))
+        planes = WindowPlanes.of(every, clip, faces, about, (height, width))
+        of_left, samples = (jax.tree.map(lambda values, of=of: values[of], planes) for of in (slice(2), slice(2, None)))
         # The nearer of two faces to the left.
-        candidates = take(found.left, pieces.segment)
-        depths = jnp.stack([depth_of(face, middle - across) for face in candidates.T])
-        nearer = jnp.argmin(depths, axis=0)
-        left = jnp.take_along_axis(candidates, nearer[:, None], axis=1)[:, 0]
-        depth = depth_of(left, middle)
-
-        there = jnp.broadcast_to(middle, from_middle.shape)
-        behind = depth_of(sample, there)
-        steep = jnp.where(sample >= 0, jnp.abs(depth_of(sample, there + across) - behind), 0)
+        depths = of_left.away(jnp.broadcast_to(-across, (*candidates.shape, 2)))
+        nearer = jnp.argmin(depths, axis=0)[None]
+        left, depth = (jnp.take_along_axis(values, nearer, axis=0)[0] for values in (candidates, of_left.depth))
+        behind = samples.depth
+        steep = jnp.abs(samples.slope_x * across[:, 0] + samples.slope_y * across[:, 1])
         slack = steep + jnp.abs(jnp.min(depths, axis=0) - depth) + _ROUNDING
         # A part of the same mesh at about the depth of the line lies beside it, and not behind it.
         component = lambda face: take(edges.component, jnp.maximum(face, 0))
@@ -79,7 +80,7 @@ class Sides(NamedTuple):
 
         # Rather a sample that is farther away than one of the same part of the mesh, or one beyond another piece.
         across_wall = lambda at: jnp.sum(pieces.wall[:, :2] * at, axis=-1) + pieces.wall[:, 2]
-        is_beyond = across_wall(place) * across_wall(middle) < 0
+        is_beyond = across_wall(place) * across_wall(pieces.middle) < 0
         behind_first = distance + jnp.where(beside, 4, 0) + jnp.where(is_beyond, 16, 0)
         to_right, to_left = (nearest(jnp.where(turn * aside > _CLEAR, behind_first, jnp.inf)) for turn in (1, -1))
         # At a smooth silhouette, its own face is seen edge-on. One further in has the colour that moves with it.

@@ -18,6 +18,8 @@ PIXELS = 1 << 16
 """The most pixels that a step of a fit of a technique evaluates, by default: as many as 256 x 256."""
 BLUR = 3.0
 """The last standard deviation of a fit by default, in pixels."""
+MOST_SHADOW_POINTS = 1 << 20
+"""A fit to a picture looks up shadows at no more points within its pixels."""
 # The largest standard deviation, as a fraction of the image's shorter side.
 _WIDEST = 1 / 8
 

@@ -23,6 +23,7 @@ from diffshadow.geometry import (
 )
 from diffshadow.raster import AntialiasPlan, draw_antialiased, draw_surface, plan_antialiasing
 from diffshadow.raster._boundaries import Boundaries, Pieces, find_creases
+from diffshadow.raster._within_pixels import points_within_pixels
 from diffshadow.shading import Phong
 
 SIDE = 48
@@ -243,3 +244,19 @@ def test_a_plan_that_is_too_small_is_an_error():
     planned = plan_antialiasing(mesh, FRONT)
     with pytest.raises(RuntimeError, match="memory for 16 pieces"):
         jax.block_until_ready(colours(mesh.padded(), AntialiasPlan(planned.edges, planned.creases, 16, 256)))
+
+
+def test_points_within_pixels_lie_in_them_and_on_what_is_seen_there():
+    mesh, _ = scene("box")
+    surface = draw_surface(mesh, view())
+    within = eqx.filter_jit(points_within_pixels)(surface, view(), 5)
+    moved = np.asarray(within.position).reshape(5, SIDE, SIDE, 3) - np.asarray(surface.position)
+    np.testing.assert_allclose(np.sum(moved * np.asarray(surface.normal), axis=-1), 0, atol=1e-5)
+    clip = np.c_[np.asarray(within.position).reshape(-1, 3), np.ones(5 * SIDE**2)] @ np.asarray(view().view().matrix).T
+    place = ((clip[:, :2] / clip[:, 3:] + 1) * SIDE / 2).reshape(5, SIDE, SIDE, 2)
+    place = (place - np.stack(np.meshgrid(np.arange(SIDE), np.arange(SIDE)), axis=-1))[:, np.asarray(surface.mask)]
+    is_steep = (np.abs(place - 0.5) < 1e-3).all(axis=(0, 2))
+    assert is_steep.mean() < 0.02
+    for axis in range(2):
+        expected = np.broadcast_to((np.arange(5)[:, None] + 0.5) / 5, place[:, ~is_steep, axis].shape)
+        np.testing.assert_allclose(np.sort(place[:, ~is_steep, axis], axis=0), expected, atol=2e-3)

@@ -92,10 +92,7 @@ class ArrangedProblem(AbstractProblem):
         A narrower blur does not cancel the error that a texel makes in an outline; a wider one mixes outlines that move
         differently.
         """
-        scene, points = self.scene, points_of(self.scene.meshes)
-        texel = max(
-            float(_texel_in_pixels(light, scene.camera, points, self.settings.resolution)) for light in scene.lights
-        )
+        texel = widest_texel(self.scene, self.settings.resolution)
         return dataclasses.replace(self, blur=min(max(_LAST_BLUR * texel, _MIN_BLUR), self.blur_in_pixels))
 
     def draw_map(
@@ -162,6 +159,12 @@ def weighted_difference(
 def points_of(meshes: Sequence[Mesh]) -> Float[Array, "n 3"]:
     """The vertices of all meshes."""
     return jnp.concatenate([mesh.vertices for mesh in meshes])
+
+
+def widest_texel(scene: Scene, resolution: Resolution) -> float:
+    """How many pixels wide a texel is at half of the scene's vertices, or more, under the light with the widest."""
+    points = points_of(scene.meshes)
+    return max(float(_texel_in_pixels(light, scene.camera, points, resolution)) for light in scene.lights)
 
 
 @eqx.filter_jit

@@ -10,18 +10,22 @@ from jaxtyping import Array, Bool, Float
 from ..._arithmetic import as_float
 from ..._types import Scalar
 from ...geometry import AbstractCamera, AbstractLight, Edges, Mesh, Scene
-from ...raster import AntialiasedSurface, AntialiasPlan, draw_antialiased, draw_surface, plan_antialiasing
-from ...settings.fit import BLUR
+from ...raster import AntialiasedSurface, AntialiasPlan, Surface, draw_antialiased, draw_surface, plan_antialiasing
+from ...settings.fit import BLUR, MOST_SHADOW_POINTS
 from ...settings.reference import Encoding, PictureReference
 from ...shading import AbstractShading, Phong, to_srgb
 from ...shadow import MapSettings, Overflow, ShadowMap, ShadowMapping
 from .._arrangement import Arrangement
 from .._own_loss import Seen
 from ._abstract import any_overflow
-from ._arranged import ArrangedProblem, weighted_difference, with_silhouettes
+from ._arranged import ArrangedProblem, weighted_difference, widest_texel, with_silhouettes
 
 # There is memory for so many times the outlines' pieces at the start. If others need more, phases are repeated.
 _MORE_PIECES = 2.0
+# So many shadow points there may be within a pixel. There is one where texels are wider than two pixels, and else about
+# so many to a row of texels along a side of the pixel.
+_FIBONACCI = 1, 2, 3, 5, 8, 13, 21
+_PER_ROW, _WIDE = 4, 2.0
 
 
 class PictureProblem(ArrangedProblem):
@@ -41,6 +45,8 @@ class PictureProblem(ArrangedProblem):
     - `plan`: as for `draw_antialiased`; `crossings`: of each light's map, as for `draw_shadow_map`. `planned` finds
         both.
     - `edges`, `blur`, `shift`: as for `PoseProblem`.
+    - `shadow_points`: shadows are looked up at so many points within each pixel. `of` takes the more, the wider a pixel
+        is in texels of the map, but no more than `MOST_SHADOW_POINTS` in all.
 
     !!! Example
 
@@ -62,6 +68,7 @@ class PictureProblem(ArrangedProblem):
     edges: Edges | None = None
     blur: Scalar = eqx.field(converter=as_float, default=BLUR)
     shift: Float[Array, "2"] | None = None
+    shadow_points: int = eqx.field(static=True, default=1)
 
     @classmethod
     def of(
@@ -105,7 +112,9 @@ class PictureProblem(ArrangedProblem):
         given = arrangement
         if given is None:
             given = Arrangement.of_picture(technique, scene, shading or Phong(), exposure)
+        texel = widest_texel(scene, technique.map.resolution)
         problem = cls(
+            shadow_points=_points_for(texel, height * width),
             arrangement=given,
             scene=scene,
             reference=jnp.where(counts[..., None], reference, 0),
@@ -150,7 +159,10 @@ class PictureProblem(ArrangedProblem):
         self, maps: list[ShadowMap], seen: AntialiasedSurface, camera: AbstractCamera, arrangement: Arrangement
     ) -> Float[Array, "h w 3"]:
         """The picture of an arrangement that has been drawn."""
-        visibility = [arrangement.technique.visibility(each, seen.surface) for each in maps]
+        points = _points(seen, camera, self.shadow_points)
+        visibility = [
+            _over_pixels(seen, arrangement.technique.visibility(each, points), self.shadow_points) for each in maps
+        ]
         return _shaded(arrangement, seen, visibility, [each.light for each in maps], camera, self.encoding)
 
     def draw(
@@ -200,10 +212,30 @@ class PictureProblem(ArrangedProblem):
         return self
 
 
+# These are compiled on their own, so that a drawing outside of `jit` shares programs with all others.
+@eqx.filter_jit
+def _points(seen: AntialiasedSurface, camera: AbstractCamera, count: int) -> Surface:
+    return seen.surface if count == 1 else seen.with_points_within(camera, count)
+
+
+@eqx.filter_jit
+def _over_pixels(seen: AntialiasedSurface, visibility: Float[Array, "y w"], count: int) -> Float[Array, "H w"]:
+    return visibility if count == 1 else seen.mean_within(visibility, count)
+
+
+def _points_for(texel: float, pixels: int) -> int:
+    """How many shadow points there are within each of so many pixels, given how many of them a texel is wide."""
+    needed = 1 if texel >= _WIDE else _PER_ROW / texel
+    allowed = [count for count in _FIBONACCI if count * pixels <= MOST_SHADOW_POINTS] or [1]
+    return next((count for count in allowed if count >= needed), allowed[-1])
+
+
 def _larger(plan: AntialiasPlan, before: AntialiasPlan | None) -> AntialiasPlan:
     if before is None:
         return plan
-    return dataclasses.replace(plan, pieces=max(plan.pieces, before.pieces), mixed=max(plan.mixed, before.mixed))
+    return dataclasses.replace(
+        plan, pieces=max(plan.pieces, before.pieces), crossings=max(plan.crossings, before.crossings)
+    )
 
 
 def _overflow(maps: list[ShadowMap], seen: AntialiasedSurface) -> Overflow:
@@ -214,7 +246,6 @@ def _channels(image: Float[Array, "h w 3"]) -> Float[Array, "3 h w"]:
     return jnp.moveaxis(image, -1, 0)
 
 
-# These are compiled on their own, so that a drawing outside of `jit` shares programs with all others.
 @eqx.filter_jit
 def _arranged(scene: Scene, arrangement: Arrangement) -> tuple[Mesh, list[AbstractLight], Mesh, AbstractCamera]:
     """What casts, the lights, all meshes, and the camera, as they are arranged."""
