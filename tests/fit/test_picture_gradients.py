@@ -78,6 +78,9 @@ def bent(scene, by):
 def problem_of(scene):
     """Its problem, with the memory of all others, so that one program serves them."""
     given = fit.PictureProblem.of(scene, TECHNIQUE, np.zeros((SIDE, SIDE, 3))).planned()
+    assert given.plan is not None
+    assert given.edges is not None
+    assert given.crossings is not None
     assert given.plan.pieces <= 2048
     assert given.plan.crossings <= 512
     assert given.crossings[0] <= 8192
