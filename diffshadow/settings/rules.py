@@ -84,8 +84,8 @@ ENGINE_RULES: dict[EngineName, EngineRule] = {
     "babylon.js": EngineRule(14.7, 0.0, Worth(1.08, 0.31, 0.1), Worth(8.66, 1, 0.042)),
     "godot": EngineRule(9.0, 1.0, Worth(1.08, 0.083, 0.021), Worth(1.63, 0.35, 0.062)),
     "bevy": EngineRule(15.0, 0.5, Worth(1.17, 0.083, 0.062), Worth(1.4, 0.15, 0.021)),
-    "filament": EngineRule(7.0, 0.5, Worth(1.07, 0.089, 0), Worth(5.24, 1, 0)),
-    "unity": EngineRule(9.0, 1.0, Worth(1.1, 0.083, 0.021), Worth(1.55, 0.23, 0.021)),
+    "filament": EngineRule(1.0, 0.5, Worth(1.04, 0.044, 0), Worth(1.05, 0.067, 0)),
+    "unity": EngineRule(1.5, 0.5, Worth(1.03, 0.042, 0), Worth(1.26, 0.021, 0.042)),
 }
 """By the names that the command takes. Bevy's and Filament's shipped biases are lengths: their worth is in scenes whose
 unit is a metre."""

@@ -38,6 +38,12 @@ _MEASURED: Mapping[EngineName, str] = {
     "filament": "PCF",
     "unity": "Soft, Medium",
 }
+# What these engines do beside the bias, and did where the rules were measured.
+_BESIDES: Mapping[EngineName, str] = {
+    "three.js": "back faces cast, as by default (material.shadowSide)",
+    "filament": "beside the polygon offset that it ships (constant 0.5, slope 2)",
+    "unity": "beside the depth bias of the pipeline's shadow pass (1, slope 2.5)",
+}
 
 
 def print_defaults(
@@ -165,6 +171,7 @@ def _print_engine(engine: EngineName, size: int, window: float, depth: float, co
     table.print_lines(
         console,
         [
+            *([_BESIDES[engine]] if engine in _BESIDES else []),
             _sentence(rule.worth),
             f"what {ENGINES[engine]} ships: {_sentence(rule.shipped)}",
             *([] if known is None else [f"read from {ENGINES[engine]}'s sources, and not verified against the engine"]),
