@@ -147,7 +147,8 @@ def test_two_processes_fit_what_one_does():
 
 
 def _check_equal(two: list[list[float]], one: list[list[float]]) -> None:
-    np.testing.assert_allclose([each[:2] for each in two], [each[:2] for each in one], atol=1e-4)
+    # Sums over the views are in another order, and a solver may end elsewhere in a flat valley.
+    np.testing.assert_allclose([each[:2] for each in two], [each[:2] for each in one], rtol=5e-4)
     # The solver may end a step sooner or later. Deviations follow from the final Jacobian.
     np.testing.assert_allclose([each[4] for each in two], [each[4] for each in one], atol=3)
     for part in (slice(2, 4), slice(5, None)):
