@@ -1,5 +1,7 @@
 """What the tests of runs share."""
 
+import signal
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,14 @@ _ONE_PIXEL = {
     ".svg": b'<svg xmlns="http://www.w3.org/2000/svg"/>',
     ".pdf": b"%PDF-1.4",
 }
+
+
+@pytest.fixture
+def interrupts():
+    """Interrupts raise, also where the tests run in the background of a shell, which has them ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 from rich.console import Console
@@ -79,6 +80,12 @@ def measure(config, batch, stages):
 
 _work._MEASURES["render"] = measure
 """
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _compiled_anew():
+    """Workers compile without optimizations. Optimized programs of earlier tests would round otherwise."""
+    jax.clear_caches()
 
 
 @pytest.fixture(autouse=True)
@@ -310,6 +317,7 @@ def test_a_user_s_filter_that_workers_cannot_load_is_refused(tmp_path, monkeypat
 
 
 @pytest.mark.exhaustive
+@pytest.mark.usefixtures("interrupts")
 def test_an_interrupted_sweep_goes_on_to_the_same_bytes(tmp_path):
     overrides = ["sweep.repeats=100"]
 

@@ -15,13 +15,7 @@ from diffshadow._interrupts import repeated_interrupts
 from diffshadow.cli import main
 from diffshadow.study.sweeps._interrupts import deferred_interrupts, out_of_reach
 
-
-@pytest.fixture(autouse=True)
-def _interrupts():
-    """Interrupts raise, also where the tests run in the background of a shell, which has them ignored."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
+pytestmark = pytest.mark.usefixtures("interrupts")
 
 
 SWEEP = """
