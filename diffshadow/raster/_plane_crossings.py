@@ -56,6 +56,10 @@ class WindowPlanes(NamedTuple):
         depth = jnp.where(face >= 0, safe_divide(total(here, z), determinant, 1.0) * 0.5 + 0.5, jnp.inf)
         return cls(depth, slope(by_x, width), slope(by_y, height))
 
+    def some(self, of: int | slice) -> "WindowPlanes":
+        """The planes at an index or a slice of the first axis."""
+        return jax.tree.map(lambda values: values[of], self)
+
     def away(self, by: Float[Array, "*n 2"]) -> Float[Array, "*n"]:
         """The depth so many pixels away."""
         return self.depth + self.slope_x * by[..., 0] + self.slope_y * by[..., 1]
@@ -79,10 +83,10 @@ class PlaneCrossings(NamedTuple):
 def crossing_faces(
     centres: FaceMap, corners: Int[Array, "H W"], clip: ClipVertices, faces: Faces, component: Int[Array, " p"]
 ) -> FaceMap:
-    """Of each pixel, the face that crosses within it the one that its centre sees; `NO_FACE` for none.
+    """For each pixel, the face that crosses the face at the pixel's centre within the pixel, or `NO_FACE`.
 
-    The two are of different parts of the mesh, by the `component` (p,) that each face belongs to. The centre's face is
-    the nearer one at the centre, and the other one at a corner that sees it.
+    The two faces belong to different parts of the mesh, by the `component` (p,) of each face. The centre's face is
+    nearer at the centre, and the other one is nearer at a corner that sees it.
     """
     height, width = centres.shape
     resolution = height, width
@@ -100,7 +104,7 @@ def crossing_faces(
         seen = jnp.concatenate([flat[pixel][None], around])
         middle = jnp.stack([column, row], axis=1) + 0.5
         planes = WindowPlanes.of(seen, clip, faces, jnp.broadcast_to(middle, (5, *middle.shape)), resolution)
-        ours, theirs = (jax.tree.map(lambda values, of=of: values[of], planes) for of in (slice(1), slice(1, 5)))
+        ours, theirs = planes.some(slice(1)), planes.some(slice(1, 5))
         crosses = (around >= 0) & (part(around) != part(seen[:1])) & (ours.depth < theirs.depth)
         to_corners = jnp.broadcast_to(_CORNERS[:, None], (4, *middle.shape))
         crosses = exists & crosses & (theirs.away(to_corners) < ours.away(to_corners))
@@ -115,7 +119,7 @@ def crossing_faces(
 def plane_crossings(
     other: FaceMap, centres: FaceMap, clip: ClipVertices, faces: Faces, capacity: int
 ) -> PlaneCrossings:
-    """The lines in which the centres' faces cross those of `crossing_faces`, in as many pixels as `capacity`."""
+    """The lines where the faces at pixel centres meet those of `crossing_faces`, for up to `capacity` pixels."""
     height, width = centres.shape
     resolution = height, width
     pixels = height * width
@@ -126,7 +130,7 @@ def plane_crossings(
     # Unused ones have one face twice, whose numbers are finite.
     own, other = both = jnp.where(used, jnp.stack([centres[row, column], other[row, column]]), 0)
     planes = WindowPlanes.of(both, clip, faces, jnp.broadcast_to(middle, (2, *middle.shape)), resolution)
-    ours, theirs = (jax.tree.map(lambda values, of=of: values[of], planes) for of in range(2))
+    ours, theirs = planes.some(0), planes.some(1)
 
     # How much deeper the other face is: value + x · a + y · b, from the pixel's centre.
     value = theirs.depth - ours.depth

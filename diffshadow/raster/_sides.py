@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
@@ -59,7 +58,7 @@ class Sides(NamedTuple):
         every = jnp.concatenate([candidates, sample])
         about = jnp.broadcast_to(pieces.middle, (*every.shape, 2))
         planes = WindowPlanes.of(every, clip, faces, about, (height, width))
-        of_left, samples = (jax.tree.map(lambda values, of=of: values[of], planes) for of in (slice(2), slice(2, None)))
+        of_left, samples = planes.some(slice(2)), planes.some(slice(2, None))
         # The nearer of two faces to the left.
         depths = of_left.away(jnp.broadcast_to(-across, (*candidates.shape, 2)))
         nearer = jnp.argmin(depths, axis=0)[None]

@@ -14,7 +14,7 @@ from ...settings.quantities import FARTHEST, MAX_TEXELS
 from ...settings.rules import Worth
 from ...shadow import engine_settings
 from ..pages import _table as table
-from ._formula_engines import FORMULA_ENGINES
+from ._formula_engines import FORMULA_ENGINES, lines_of
 
 _KERNELS: Mapping[str, type[filters.Filter]] = {
     each.type: each
@@ -149,24 +149,16 @@ def _print_filter(name: str, radius: float | None, console: Console) -> None:
 def _print_engine(engine: EngineName, size: int, window: float, depth: float, console: Console) -> None:
     rule, texel = rules.ENGINE_RULES[engine], window / size
     light = DirectionalLight((0.0, -1.0, 0.0), (0.0, 0.0, 0.0), (window, window), 0.0, depth)
-    known = FORMULA_ENGINES.get(engine)
-    chosen = None if known is None else next(each for each in known.filters if each.label == _MEASURED[engine])
-    radius = 1.0
-    if chosen is not None:
-        radius = float(chosen.section.get("radius", 1.0)) if chosen.softness is None else chosen.softness
-    found = engine_settings(
-        light, (size, size), rule.constant * texel, rule.normal_offset, 1.0, power=1, softness=radius
-    )
-    values = {
-        each.setting: float(each.value) for each in found if each.engine == ENGINES[engine] and each.value is not None
-    }
-    if known is None or chosen is None:
-        lines = _exact_lines(engine, values, size)
+    known, offset = FORMULA_ENGINES.get(engine), rule.normal_offset
+    if known is None:
+        lines = _exact_lines(engine, light, size, rule.constant * texel, offset)
     else:
-        lines = known.write(values, chosen, radius, size, "directional")
+        chosen = next(each for each in known.filters if each.label == _MEASURED[engine])
+        radius = float(chosen.section.get("radius", 0.0))
+        lines = lines_of(engine, chosen, radius, light, (size, size), rule.constant * texel, offset, 1.0)
     title = f"{ENGINES[engine]}, {_MEASURED[engine]}: {rule.constant:g} texels towards the light"
-    if rule.normal_offset:
-        title += f", and {rule.normal_offset:g} along the normal"
+    if offset:
+        title += f", and {offset:g} along the normal"
     table.print_code(console, f"{title}; a texel is {texel:.4g} world units wide", "\n".join(lines))
     table.print_lines(
         console,
@@ -175,12 +167,14 @@ def _print_engine(engine: EngineName, size: int, window: float, depth: float, co
             _sentence(rule.worth),
             f"what {ENGINES[engine]} ships: {_sentence(rule.shipped)}",
             *([] if known is None else [f"read from {ENGINES[engine]}'s sources, and not verified against the engine"]),
-            "for a scene of yours: diffshadow advise CONFIG --engine " + engine,
+            f"for a scene of yours: diffshadow advise CONFIG --engine {engine}",
         ],
     )
 
 
-def _exact_lines(engine: EngineName, values: Mapping[str, float], size: int) -> list[str]:
+def _exact_lines(engine: EngineName, light: DirectionalLight, size: int, shift: float, offset: float) -> list[str]:
+    found = engine_settings(light, (size, size), shift, offset, 1.0)
+    values = {each.setting: each.value for each in found if each.engine == ENGINES[engine] and each.value is not None}
     if engine == "three.js":
         return [
             f"light.shadow.mapSize.set({size}, {size});",

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from ...config import LABEL, Config
-from ...geometry import PointLight
+from ...geometry import AbstractLight, PointLight
 from ...settings.engines import ENGINES, EngineName
 from ...shadow import GODOT_QUALITIES, OFFSET_PROFILES, LightFrame, engine_settings, light_frame
 from ..runs._engine_fits import FACES, SIDES, Lit
@@ -233,26 +233,38 @@ def code_of_formula(name: EngineName, config: Config, filter_label: str, lit: Li
     """The code that sets the values of `config` for one light, with comments on where they hold."""
     engine, light = FORMULA_ENGINES[name], lit.scene.light
     chosen = next(each for each in engine.filters if each.label == filter_label)
-    radius = float(getattr(config.filter, "radius", 0.0))
     height, width = config.shadow_map.resolution
     frame = light_frame(light, (height, width), lit.distance)
-    # Godot divides the bias of its suns only.
-    softness = radius if chosen.softness is None else chosen.softness
-    softness = 1.0 if name == "godot" and frame.kind != "directional" else softness
-    found = engine_settings(
-        light,
-        (height, width),
-        config.bias.constant * lit.texel,
-        config.bias.normal_offset,
-        lit.distance,
-        power=1,
-        softness=softness,
-    )
-    values = {each.setting: each.value for each in found if each.engine == ENGINES[name]}
-    known = {key: value for key, value in values.items() if value is not None}
-    lines = engine.write(known, chosen, radius, max(height, width), frame.kind)
+    radius, shift = float(getattr(config.filter, "radius", 0.0)), config.bias.constant * lit.texel
+    lines = lines_of(name, chosen, radius, light, (height, width), shift, config.bias.normal_offset, lit.distance)
     comments = [f"{engine.comment} {line}" for line in _where(name, config, frame, lit)]
     return "\n".join([*comments, *lines, ""])
+
+
+def lines_of(
+    name: EngineName,
+    chosen: Filter,
+    radius: float,
+    light: AbstractLight,
+    resolution: tuple[int, int],
+    shift: float,
+    offset: float,
+    distance: float,
+) -> list[str]:
+    """The lines of code that set a bias.
+
+    **Arguments:**
+
+    - `chosen`, `radius`: the engine's filter, and its radius in texels; 0 if it has none.
+    - `resolution`, `shift`, `offset`, `distance`: as for `engine_settings`, where `shift` is the bias.
+    """
+    kind = light_frame(light, resolution, distance).kind
+    # Godot divides the bias of its suns only.
+    softness = radius if chosen.softness is None else chosen.softness
+    softness = 1.0 if name == "godot" and kind != "directional" else softness
+    found = engine_settings(light, resolution, shift, offset, distance, power=1, softness=softness)
+    values = {each.setting: each.value for each in found if each.engine == ENGINES[name] and each.value is not None}
+    return FORMULA_ENGINES[name].write(values, chosen, radius, max(resolution), kind)
 
 
 def _where(name: EngineName, config: Config, frame: LightFrame, lit: Lit) -> list[str]:
