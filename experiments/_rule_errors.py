@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import _common as common
@@ -13,7 +13,7 @@ import numpy as np
 from jax import lax
 from scipy import ndimage
 
-from diffshadow import fit, geometry, raster, reference, shadow
+from diffshadow import fit, raster, reference, shadow
 
 CONSTANT = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.5, 7.0, 10.0, 15.0)
 SLOPE = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 5.0)
@@ -21,9 +21,14 @@ OFFSET = (0.0, 0.5, 1.0, 2.0, 3.5)
 """The biases that are tried, in texels: all combinations."""
 
 PLANE = "receiver plane"
-NEGLIGIBLE = 2e-3
-"""An error that nobody sees: ratios of smaller ones say nothing."""
+# An error that nobody sees: ratios of smaller ones say nothing.
+_NEGLIGIBLE = 2e-3
 TAPS = 16
+
+
+def ratio(error: np.ndarray, best: np.ndarray) -> np.ndarray:
+    """An error over the best one."""
+    return (error + _NEGLIGIBLE) / (best + _NEGLIGIBLE)
 
 
 class Filtered(NamedTuple):
@@ -55,6 +60,8 @@ class Shipped(NamedTuple):
       it ships for them.
     - `softness`: as for `engine_settings`.
     - `polygon_offset`: the factor and units with which the engine draws its maps besides.
+    - `lengths`: which of the two settings are lengths in world units, and so depend on a scene's size.
+    - `has_offset`: whether the normal offset is tried; one that moves casters needs a map for each value.
     """
 
     filter: shadow.AbstractFilter | None
@@ -65,12 +72,31 @@ class Shipped(NamedTuple):
     values: tuple[float, float]
     softness: float = 1.0
     polygon_offset: tuple[float, float] | None = None
+    lengths: tuple[bool, bool] = (False, False)
+    has_offset: bool = True
 
 
 _LOW = shadow.GODOT_QUALITIES["SOFT_LOW"]
 ENGINES: dict[str, Shipped] = {
-    "three.js": Shipped(None, 2.5, "three.js", "light.shadow.bias", "light.shadow.normalBias", (0.0, 0.0)),
-    "babylon.js": Shipped(None, 2.5, "Babylon.js", "generator.bias (PCF)", "generator.normalBias", (5e-5, 0.0)),
+    "three.js": Shipped(
+        None,
+        2.5,
+        "three.js",
+        "light.shadow.bias",
+        "light.shadow.normalBias",
+        (0.0, 0.0),
+        lengths=(False, True),
+    ),
+    "babylon.js": Shipped(
+        None,
+        2.5,
+        "Babylon.js",
+        "generator.bias (PCF)",
+        "generator.normalBias",
+        (5e-5, 0.0),
+        lengths=(False, True),
+        has_offset=False,
+    ),
     "godot": Shipped(
         shadow.RandomDisk(_LOW.radius, shadow.vogel(_LOW.taps)),
         _LOW.radius + 0.5,
@@ -80,12 +106,34 @@ ENGINES: dict[str, Shipped] = {
         (0.1, 2.0),
         _LOW.radius,
     ),
-    "bevy": Shipped(shadow.Castano(5), 2.5, "Bevy", "shadow_depth_bias", "shadow_normal_bias", (0.02, 1.8)),
+    "bevy": Shipped(
+        shadow.Castano(5),
+        2.5,
+        "Bevy",
+        "shadow_depth_bias",
+        "shadow_normal_bias",
+        (0.02, 1.8),
+        lengths=(True, False),
+    ),
     "filament": Shipped(
-        shadow.Castano(3), 1.5, "Filament", "constantBias", "normalBias", (0.001, 1.0), 1.0, (2.0, 0.5)
+        shadow.Castano(3),
+        1.5,
+        "Filament",
+        "constantBias",
+        "normalBias",
+        (0.001, 1.0),
+        polygon_offset=(2.0, 0.5),
+        lengths=(True, False),
     ),
     "unity": Shipped(
-        shadow.Tent(2.5), 2.5, "Unity URP", "shadowBias (depth)", "shadowNormalBias", (1.0, 1.0), 2.5, (2.5, 1.0)
+        shadow.Tent(2.5),
+        2.5,
+        "Unity URP",
+        "shadowBias (depth)",
+        "shadowNormalBias",
+        (1.0, 1.0),
+        2.5,
+        polygon_offset=(2.5, 1.0),
     ),
 }
 """Engines, by the names that the command takes, and what they ship."""
@@ -106,15 +154,6 @@ class _Seen(eqx.Module):
     dark: jax.Array
 
 
-class Drawn(NamedTuple):
-    """A scene, what its camera sees, and the truth."""
-
-    scene: geometry.Scene
-    surface: raster.Surface
-    truth: reference.Reference
-    resolution: tuple[int, int]
-
-
 def measure(settings: Any) -> dict[str, np.ndarray]:
     """Errors of all biases in one scene, by names of filters and engines.
 
@@ -125,28 +164,36 @@ def measure(settings: Any) -> dict[str, np.ndarray]:
     `DESCRIBED`.
     """
     case = common.draw(settings)
-    drawn = Drawn(case.scene, case.surface, case.truth, settings.shadow_map.resolution)
-    plain = shadow.ShadowMapping(shadow.Nearest(), shadow.Bias(), map=shadow.MapSettings(drawn.resolution))
-    shadow_map = plain.prepare(drawn.scene, drawn.surface)
-    covered = np.asarray(plain.covered(shadow_map, drawn.surface)) & drawn.truth.mask
-    pixels = _pixels_per_texel(plain, shadow_map, drawn)
+    plain, shadow_map, covered = plain_map(case)
+    pixels = _pixels_per_texel(plain, shadow_map, case)
+    at = shadow.receiver(shadow_map, case.surface)
     found: dict[str, np.ndarray] = {}
     for name, (chosen, reach) in FILTERS.items():
-        seen = seen_by(drawn.truth, covered, reach * pixels)
-        found[name] = grid_errors(_technique(chosen), grid_of(name), shadow_map, drawn.surface, seen)
+        seen = seen_by(case.truth, covered, reach * pixels)
+        found[name] = grid_errors(_technique(chosen), grid_of(name), shadow_map, case.surface, seen)
         if name in WITH_PLANE:
             name = f"{name} {PLANE}"
-            found[name] = grid_errors(_technique(chosen, plane=True), grid_of(name), shadow_map, drawn.surface, seen)
+            found[name] = grid_errors(_technique(chosen, plane=True), grid_of(name), shadow_map, case.surface, seen)
     for name, shipped in ENGINES.items():
-        found |= _of_engine(name, shipped, drawn, shadow_map, covered, pixels)
-    found["scene"] = _described(settings, drawn, shadow_map, covered, pixels)
+        found |= _of_engine(name, shipped, case, shadow_map, at, covered, pixels)
+    found["scene"] = _described(case, at, covered, pixels)
     return {name: np.asarray(values, np.float32) for name, values in found.items()}
+
+
+def plain_map(case: common.Case) -> tuple[shadow.ShadowMapping, shadow.ShadowMap, np.ndarray]:
+    """The plain map of a scene, as its configuration sets it, the technique that draws it, and the pixels that count,
+    (h, w)."""
+    made = shadow.MapSettings(case.settings.shadow_map.resolution)
+    plain = shadow.ShadowMapping(shadow.Nearest(), shadow.Bias(), map=made)
+    shadow_map = plain.prepare(case.scene, case.surface)
+    return plain, shadow_map, np.asarray(plain.covered(shadow_map, case.surface)) & case.truth.mask
 
 
 def grid_of(name: str) -> np.ndarray:
     """The biases that are tried, (n, 3): constant, slope and normal offset."""
     slopes: Sequence[float] = (0.0,) if name.endswith(PLANE) or name in ENGINES else SLOPE
-    offsets: Sequence[float] = (0.0,) if name.endswith(PLANE) or name == "babylon.js" else OFFSET
+    has_offset = not name.endswith(PLANE) and (name not in ENGINES or ENGINES[name].has_offset)
+    offsets: Sequence[float] = OFFSET if has_offset else (0.0,)
     return np.array([(c, s, n) for c in CONSTANT for s in slopes for n in offsets], np.float32)
 
 
@@ -172,8 +219,16 @@ def _grid_scores(technique: Any, paths: Any, grid: jax.Array, shadow_map: Any, s
     return lax.map(one, grid)
 
 
-def grid_errors(technique: Any, grid: np.ndarray, shadow_map: Any, surface: raster.Surface, seen: _Seen) -> np.ndarray:
-    return np.asarray(_grid_scores(technique, _PATHS, jnp.asarray(grid), shadow_map, surface, seen))
+def grid_errors(
+    technique: Any,
+    grid: np.ndarray,
+    shadow_map: Any,
+    surface: raster.Surface,
+    seen: _Seen,
+    paths: Sequence[str] = _PATHS,
+) -> np.ndarray:
+    """Root mean square error, acne and leaks, (n, 3), with each row of `grid` as the numbers at `paths`."""
+    return np.asarray(_grid_scores(technique, tuple(paths), jnp.asarray(grid), shadow_map, surface, seen))
 
 
 def seen_by(truth: reference.Reference, covered: np.ndarray, footprint: float) -> _Seen:
@@ -186,9 +241,9 @@ def seen_by(truth: reference.Reference, covered: np.ndarray, footprint: float) -
     return _Seen(jnp.asarray(image), *(jnp.asarray(each) for each in (covered, lit, dark)))
 
 
-def _pixels_per_texel(plain: shadow.ShadowMapping, shadow_map: Any, drawn: Drawn) -> float:
+def _pixels_per_texel(plain: shadow.ShadowMapping, shadow_map: Any, case: common.Case) -> float:
     """How long nearly all texels are at most on the screen."""
-    extents = plain.aliasing(shadow_map, drawn.surface, drawn.scene.camera)
+    extents = plain.aliasing(shadow_map, case.surface, case.scene.camera)
     mask = np.asarray(extents.mask)
     return float(np.quantile(np.asarray(extents.extent)[mask], 0.9)) if mask.any() else 1.0
 
@@ -197,32 +252,38 @@ def _pixels_per_texel(plain: shadow.ShadowMapping, shadow_map: Any, drawn: Drawn
 
 
 def _of_engine(
-    name: str, shipped: Shipped, drawn: Drawn, shadow_map: shadow.ShadowMap, covered: np.ndarray, pixels: float
+    name: str,
+    shipped: Shipped,
+    case: common.Case,
+    shadow_map: shadow.ShadowMap,
+    at: shadow.Receiver,
+    covered: np.ndarray,
+    pixels: float,
 ) -> dict[str, np.ndarray]:
     """What an engine draws by default, and with each bias; nothing under a light that it does not have."""
-    units = _units(shipped, drawn, shadow_map)
+    units = _units(shipped, case, at)
     if units is None:
         return {}
     if shipped.filter is None:
         # The engines' shading makes these dark, whatever their shadows are. Ours are dark there themselves.
-        covered = covered & (np.asarray(shadow.receiver(shadow_map, drawn.surface).cosine) > 0)
-    seen = seen_by(drawn.truth, covered, shipped.reach * pixels)
+        covered = covered & (np.asarray(at.cosine) > 0)
+    seen = seen_by(case.truth, covered, shipped.reach * pixels)
     # A setting in texels; the settings of three.js are negative.
     own = [value / unit if unit else 0.0 for value, unit in zip(shipped.values, units, strict=True)]
-    grid = grid_of(name)
+    grid, resolution = grid_of(name), case.settings.shadow_map.resolution
     if shipped.filter is not None:
         technique = _technique(shipped.filter, profile=shadow.OFFSET_PROFILES[shipped.engine])
         if shipped.polygon_offset is not None:
-            offset_map = shadow.MapSettings(drawn.resolution, polygon_offset=shipped.polygon_offset)
-            shadow_map = dataclasses.replace(technique, map=offset_map).prepare(drawn.scene, drawn.surface)
+            offset_map = shadow.MapSettings(resolution, polygon_offset=shipped.polygon_offset)
+            shadow_map = dataclasses.replace(technique, map=offset_map).prepare(case.scene, case.surface)
         both = np.concatenate([grid, [[own[0], 0.0, own[1]]]])
-        errors = grid_errors(technique, both, shadow_map, drawn.surface, seen)
+        errors = grid_errors(technique, both, shadow_map, case.surface, seen)
     else:
-        technique = _engine_technique(name, drawn.resolution)
-        state = technique.prepare(drawn.scene, drawn.surface)
-        paths = ("bias", "normal_bias")[: 1 if name == "babylon.js" else 2]
+        technique = _engine_technique(name, resolution)
+        state = technique.prepare(case.scene, case.surface)
+        paths = ("bias", "normal_bias")[: 2 if shipped.has_offset else 1]
         numbers = np.concatenate([grid[:, [0, 2]] * units, [shipped.values]])[:, : len(paths)]
-        errors = np.asarray(_grid_scores(technique, paths, jnp.asarray(numbers), state, drawn.surface, seen))
+        errors = grid_errors(technique, numbers, state, case.surface, seen, paths)
     return {name: errors[:-1], f"shipped {name}": errors[-1], f"units {name}": np.array(units)}
 
 
@@ -232,19 +293,18 @@ def _engine_technique(name: str, resolution: tuple[int, int]) -> Any:
     return shadow.BabylonJs(filter="PCF", resolution=resolution)
 
 
-def _units(shipped: Shipped, drawn: Drawn, shadow_map: shadow.ShadowMap) -> tuple[float, float] | None:
+def _units(shipped: Shipped, case: common.Case, at: shadow.Receiver) -> tuple[float, float] | None:
     """An engine's two settings for a bias and a normal offset of one texel at the median receiver."""
-    receivers = shadow.receiver(shadow_map, drawn.surface)
-    mask = np.asarray(drawn.surface.mask)
-    texel = float(np.median(np.asarray(receivers.texel_size)[mask]))
-    light = drawn.scene.light
-    away = np.asarray(drawn.surface.position)[mask] - np.asarray(getattr(light, "position", np.zeros(3)))
+    mask, light = np.asarray(case.surface.mask), case.scene.light
+    texel = float(np.median(np.asarray(at.texel_size)[mask]))
+    away = np.asarray(case.surface.position)[mask] - np.asarray(getattr(light, "position", np.zeros(3)))
     direction = getattr(light, "direction", None)
     along = np.abs(away).max(axis=1) if direction is None else away @ np.asarray(direction)
     distance = max(float(np.median(along)), 1e-9)
     softness = shipped.softness if light.is_directional or shipped.engine != "Godot 4" else 1.0
     try:
-        settings = shadow.engine_settings(light, drawn.resolution, texel, 1.0, distance, power=1, softness=softness)
+        resolution = case.settings.shadow_map.resolution
+        settings = shadow.engine_settings(light, resolution, texel, 1.0, distance, power=1, softness=softness)
     except ValueError:
         return None
     values = {each.setting: each.value for each in settings if each.engine == shipped.engine}
@@ -255,24 +315,16 @@ def _units(shipped: Shipped, drawn: Drawn, shadow_map: shadow.ShadowMap) -> tupl
 
 # --- What a scene is like ---
 
-DESCRIBED = ("texels", "pixels_per_texel", "steepness", "elevation", "lit", "dark", "perspective")
+DESCRIBED = ("texels", "pixels_per_texel", "steepness", "elevation", "lit", "perspective")
 """A map's side; how long a texel is on the screen; the median slope of receivers against the light; the light's height
-in degrees; shares of pixels that are lit and dark; whether the light has a position."""
+in degrees; the share of pixels that are lit; whether the light has a position."""
 
 
-def _described(
-    settings: Any, drawn: Drawn, shadow_map: shadow.ShadowMap, covered: np.ndarray, pixels: float
-) -> np.ndarray:
-    receivers, image = shadow.receiver(shadow_map, drawn.surface), np.asarray(drawn.truth.visibility)
-    cosine = np.clip(np.asarray(receivers.cosine)[covered & (image > 0)], 1e-3, 1)
+def _described(case: common.Case, at: shadow.Receiver, covered: np.ndarray, pixels: float) -> np.ndarray:
+    image = np.asarray(case.truth.visibility)
+    cosine = np.clip(np.asarray(at.cosine)[covered & (image > 0)], 1e-3, 1)
     steepness = float(np.median(np.sqrt(1 / cosine**2 - 1))) if cosine.size else 0.0
-    light = settings.scene.light
-    elevation = float(getattr(light, "elevation", None) or 90.0)
-    shares = [float(np.mean(image[covered] > 0.5)), float(np.mean(image[covered] <= 0.5))]
-    directional = drawn.scene.light.is_directional
-    return np.array([drawn.resolution[0], pixels, steepness, elevation, *shares, 0.0 if directional else 1.0])
-
-
-def describe(values: np.ndarray) -> Mapping[str, float]:
-    """The numbers of a scene by name."""
-    return dict(zip(DESCRIBED, map(float, values), strict=True))
+    elevation = float(getattr(case.settings.scene.light, "elevation", None) or 90.0)
+    texels, lit = case.settings.shadow_map.resolution[0], float(np.mean(image[covered] > 0.5))
+    perspective = 0.0 if case.scene.light.is_directional else 1.0
+    return np.array([texels, pixels, steepness, elevation, lit, perspective])

@@ -42,18 +42,18 @@ _MANY, _RADIUS = 256, 4.0
 def layout_errors(settings: Any) -> dict[str, np.ndarray]:
     """The least error of each layout over a few biases, (sizes, layouts); nothing but under a sun.
 
-    Pixels count that all layouts cover.
+    All pixels with a surface count.
     """
     if settings.scene.light.type != "directional":
         return {}
     case = common.draw(settings)
+    seen = errors.seen_by(case.truth, np.asarray(case.truth.mask), 1.0)
     found = np.full((len(SIZES), len(LAYOUTS)), np.nan, np.float32)
     for (i, size), (j, (layout, smaller)) in ((a, b) for a in enumerate(SIZES) for b in enumerate(LAYOUTS.values())):
         side = size // smaller
         made = shadow.MapSettings((side, side))
         technique = shadow.ShadowMapping(shadow.Bilinear(), shadow.Bias(0.0, 0.0, 0.0), map=made, layout=layout)
         state = technique.prepare(case.scene, case.surface)
-        seen = errors.seen_by(case.truth, np.asarray(case.truth.mask), 1.0)
         found[i, j] = errors.grid_errors(technique, _BIASES, state, case.surface, seen)[:, 0].min()
     return {"layouts": found}
 
@@ -67,17 +67,16 @@ def tap_errors(settings: Any, bias: np.ndarray) -> dict[str, np.ndarray]:
     """Errors of a disk with each pattern and number of taps, (patterns, taps, 2): against the rays, and against the
     same disk with many taps. `bias` is that of all, in texels."""
     case = common.draw(settings)
-    plain = shadow.ShadowMapping(
-        shadow.Nearest(), shadow.Bias(), map=shadow.MapSettings(settings.shadow_map.resolution)
-    )
-    state = plain.prepare(case.scene, case.surface)
-    covered = np.asarray(plain.covered(state, case.surface)) & case.truth.mask
-    seen_by = lambda pattern: shadow.ShadowMapping(
-        shadow.RandomDisk(_RADIUS, pattern), shadow.Bias(float(bias[0]), float(bias[1]), float(bias[2]))
-    ).visibility(state, case.surface)
-    truth, many = jnp.asarray(case.truth.visibility), seen_by(_pattern("vogel", _MANY))
+    _, state, covered = errors.plain_map(case)
+    biased = shadow.Bias(float(bias[0]), float(bias[1]), float(bias[2]))
+
+    def seen_with(pattern: shadow.Pattern) -> jnp.ndarray:
+        technique = shadow.ShadowMapping(shadow.RandomDisk(_RADIUS, pattern), biased)
+        return technique.visibility(state, case.surface)
+
+    truth, many = jnp.asarray(case.truth.visibility), seen_with(_pattern("vogel", _MANY))
     error = lambda image, other: float(jnp.sqrt(jnp.mean(jnp.square(image - other)[covered])))
-    found = [[seen_by(_pattern(name, taps)) for taps in TAPS] for name in PATTERNS]
+    found = [[seen_with(_pattern(name, taps)) for taps in TAPS] for name in PATTERNS]
     values = [[(error(each, truth), error(each, many)) for each in row] for row in found]
     return {"taps": np.array(values, np.float32), "many taps": np.array([error(many, truth)], np.float32)}
 
@@ -93,8 +92,8 @@ def compared(found: Sequence[Mapping[str, np.ndarray]], kinds: Sequence[str]) ->
     for i, size in enumerate(SIZES):
         for kind in (*dict.fromkeys(kind for kind, _ in kept), "all"):
             values = np.stack([each[i] for own, each in kept if kind in (own, "all")])
-            ratio = (values + errors.NEGLIGIBLE) / (values.min(axis=1, keepdims=True) + errors.NEGLIGIBLE)
-            wins = np.mean(values == values.min(axis=1, keepdims=True), axis=0)
+            least = values.min(axis=1, keepdims=True)
+            ratio, wins = errors.ratio(values, least), np.mean(values == least, axis=0)
             table[f"{size}, {kind}"] = {
                 name: {"wins": float(wins[j]), "ratio": float(ratio[:, j].mean())} for j, name in enumerate(LAYOUTS)
             }
@@ -104,10 +103,7 @@ def compared(found: Sequence[Mapping[str, np.ndarray]], kinds: Sequence[str]) ->
 def taps_compared(found: Sequence[Mapping[str, np.ndarray]]) -> dict[str, Any]:
     """For each pattern and number of taps, the mean error over that with many taps, and the mean noise: the difference
     from many taps."""
-    against = np.mean(
-        [(each["taps"][..., 0] + errors.NEGLIGIBLE) / (each["many taps"][0] + errors.NEGLIGIBLE) for each in found],
-        axis=0,
-    )
+    against = np.mean([errors.ratio(each["taps"][..., 0], each["many taps"][0]) for each in found], axis=0)
     noise = np.mean([each["taps"][..., 1] for each in found], axis=0)
     return {
         name: {str(taps): [float(against[i, j]), float(noise[i, j])] for j, taps in enumerate(TAPS)}

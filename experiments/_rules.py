@@ -66,8 +66,7 @@ class Measured:
 
     def in_texels(self, name: str, own: np.ndarray) -> np.ndarray:
         """An engine's two settings as biases in texels, (scenes, 3), in scenes of their size in metres."""
-        lengths = np.array([name in ("bevy", "filament"), name in ("three.js", "babylon.js")])
-        units = self.units[name] / np.where(lengths, self.sizes[:, None], 1)
+        units = self.units[name] / np.where(errors.ENGINES[name].lengths, self.sizes[:, None], 1)
         constant, offset = (_ratio(own[i], units[:, i]) for i in range(2))
         return np.stack([constant, np.zeros(len(units)), offset], axis=1)
 
@@ -119,7 +118,7 @@ def worth(found: np.ndarray, best: np.ndarray, chosen: np.ndarray) -> dict[str, 
     """What errors (scenes, 3) are worth over the `chosen` scenes: prices against the `best` error of each scene, and
     shares of scenes."""
     counted = chosen & np.isfinite(found[:, 0])
-    price = (found[counted, 0] + errors.NEGLIGIBLE) / (best[counted] + errors.NEGLIGIBLE)
+    price = errors.ratio(found[counted, 0], best[counted])
     return {
         "price": float(price.mean()),
         "worst_decile": float(np.quantile(price, 0.9)),
@@ -131,7 +130,7 @@ def worth(found: np.ndarray, best: np.ndarray, chosen: np.ndarray) -> dict[str, 
 
 def _cost(found: np.ndarray, best: np.ndarray, chosen: np.ndarray) -> float:
     """What a search makes least: the mean price, while at most `SHARE` of the scenes have acne."""
-    price = np.nanmean((found[chosen, 0] + errors.NEGLIGIBLE) / (best[chosen] + errors.NEGLIGIBLE))
+    price = np.nanmean(errors.ratio(found[chosen, 0], best[chosen]))
     acne = np.mean(found[chosen, 1] > ACNE)
     return float(price + _PENALTY * max(0.0, acne - SHARE))
 
@@ -230,6 +229,7 @@ def formula_of(measured: Measured, formula: Formula) -> np.ndarray:
 def worths(
     measured: Measured, formula: Formula, numbers: np.ndarray, chosen: np.ndarray
 ) -> dict[str, dict[str, float]]:
+    """What a formula is worth for each filter over the `chosen` scenes."""
     return {
         name: worth(measured.at(name, formula.bias(numbers, each.reach, measured.named)), measured.best(name), chosen)
         for name, each in errors.FILTERS.items()
@@ -240,7 +240,8 @@ def worths(
 
 
 def own_of(measured: Measured, name: str) -> tuple[np.ndarray, dict[str, float]]:
-    """The best of an engine's two settings in its own units, one pair for all scenes, and what it is worth."""
+    """The best pair of an engine's two settings for all scenes, in its own units, with its price and its shares of
+    scenes."""
     best, one = measured.best(name), measured.in_texels(name, np.ones(2))
     most = errors.grid_of(name).max(axis=0)
 
@@ -260,9 +261,10 @@ def own_of(measured: Measured, name: str) -> tuple[np.ndarray, dict[str, float]]
 
 def _shipped(measured: Measured, name: str) -> np.ndarray:
     """The errors of what an engine ships: measured, or, where it is a length, as in scenes of their size in metres."""
-    if name not in ("bevy", "filament"):
+    shipped = errors.ENGINES[name]
+    if not shipped.lengths[0]:
         return measured.shipped[name]
-    return measured.at(name, measured.in_texels(name, np.array(errors.ENGINES[name].values)))
+    return measured.at(name, measured.in_texels(name, np.array(shipped.values)))
 
 
 def _ratio(value: float, units: np.ndarray) -> np.ndarray:
@@ -285,7 +287,7 @@ def search(measured: Measured) -> dict[str, Any]:
         plain = measured.best(name.removesuffix(f" {errors.PLANE}"))
         filters[name] = {
             # The error of the best bias for each scene, over that of the best one without a receiver plane.
-            "against_plain": float(np.mean((best + errors.NEGLIGIBLE)[apart] / (plain + errors.NEGLIGIBLE)[apart])),
+            "against_plain": float(np.mean(errors.ratio(best, plain)[apart])),
             "fitted": worth(fitted, best, apart),
             "none": worth(measured.at(name, np.zeros(3)), best, apart),
             "rules": {
@@ -303,7 +305,7 @@ def search(measured: Measured) -> dict[str, Any]:
         }
     engines = {}
     for name in errors.ENGINES:
-        best, free = measured.best(name), (True, False, name != "babylon.js")
+        best, free = measured.best(name), (True, False, errors.ENGINES[name].has_offset)
         own, own_worth = own_of(measured, name)
         engines[name] = {
             "shipped": worth(_shipped(measured, name), best, apart),
@@ -324,7 +326,7 @@ def _rule(measured: Measured, name: str, bias: np.ndarray) -> dict[str, Any]:
 
 
 def show(console: Console, result: Mapping[str, Any]) -> None:
-    """Prints the rules, each with what it is worth over the scenes that were kept apart."""
+    """Prints each rule with its price and its shares of the test scenes that have acne or leaks."""
     table = Table("filter", "rule", "constant", "slope", "offset", "price", "worst tenth", "acne", "leaks")
     for name, found in result["filters"].items():
         rows = {"none": {"bias": (0, 0, 0), "tested": found["none"]}, **found["rules"]}
