@@ -20,7 +20,8 @@ SLOPE = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 5.0)
 OFFSET = (0.0, 0.5, 1.0, 2.0, 3.5)
 """The biases that are tried, in texels: all combinations."""
 
-PLANE = "receiver plane"
+PLANE = ", with a receiver plane"
+"""What the names of filters end with that have a bias from the receiver's plane."""
 # An error that nobody sees: ratios of smaller ones say nothing.
 _NEGLIGIBLE = 2e-3
 TAPS = 16
@@ -41,14 +42,14 @@ class Filtered(NamedTuple):
 FILTERS: dict[str, Filtered] = {
     "nearest": Filtered(shadow.Nearest(), 0.0),
     "bilinear": Filtered(shadow.Bilinear(), 0.5),
-    "pcf 3x3": Filtered(shadow.PercentageCloser(1.5), 1.5),
-    "pcf 5x5": Filtered(shadow.PercentageCloser(2.5), 2.5),
-    "disk 2": Filtered(shadow.RandomDisk(2.0, shadow.vogel(TAPS)), 2.5),
-    "disk 4": Filtered(shadow.RandomDisk(4.0, shadow.vogel(TAPS)), 4.5),
-    "disk 8": Filtered(shadow.RandomDisk(8.0, shadow.vogel(TAPS)), 8.5),
+    "pcf, radius 1.5": Filtered(shadow.PercentageCloser(1.5), 1.5),
+    "pcf, radius 2.5": Filtered(shadow.PercentageCloser(2.5), 2.5),
+    "random_disk, radius 2": Filtered(shadow.RandomDisk(2.0, shadow.vogel(TAPS)), 2.5),
+    "random_disk, radius 4": Filtered(shadow.RandomDisk(4.0, shadow.vogel(TAPS)), 4.5),
+    "random_disk, radius 8": Filtered(shadow.RandomDisk(8.0, shadow.vogel(TAPS)), 8.5),
 }
 """Taps of a disk are bilinear, and reach half a texel further."""
-WITH_PLANE = ("pcf 5x5", "disk 4", "disk 8")
+WITH_PLANE = ("pcf, radius 2.5", "random_disk, radius 4", "random_disk, radius 8")
 """The filters that are also measured with the bias from the receiver's plane."""
 
 
@@ -172,8 +173,8 @@ def measure(settings: Any) -> dict[str, np.ndarray]:
         seen = seen_by(case.truth, covered, reach * pixels)
         found[name] = grid_errors(_technique(chosen), grid_of(name), shadow_map, case.surface, seen)
         if name in WITH_PLANE:
-            name = f"{name} {PLANE}"
-            found[name] = grid_errors(_technique(chosen, plane=True), grid_of(name), shadow_map, case.surface, seen)
+            technique = _technique(chosen, plane=True)
+            found[name + PLANE] = grid_errors(technique, grid_of(name + PLANE), shadow_map, case.surface, seen)
     for name, shipped in ENGINES.items():
         found |= _of_engine(name, shipped, case, shadow_map, at, covered, pixels)
     found["scene"] = _described(case, at, covered, pixels)

@@ -74,6 +74,9 @@ def of_rules(result: Mapping[str, Any]) -> Figure:
         "rule in texels": (_RULE, {name: found["tested"] for name, found in engines.items()}),
     }
     _dots(panels[2], "Scenes with acne, by engine", "share of the scenes", rows, "acne")
+    # The first two have the same colours.
+    for panel in panels[1:]:
+        common.legend(panel)
     return made
 
 
@@ -87,5 +90,4 @@ def _dots(panel: Any, title: str, unit: str, rows: Mapping[str, tuple[str, Mappi
     if key == "acne":
         panel.set_xlim(-0.03, 1.03)
         panel.xaxis.set_major_formatter(lambda value, _: f"{value:.0%}")
-    common.legend(panel)
     style.frame(panel)

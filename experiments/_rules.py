@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import _rule_errors as errors
 import numpy as np
 from rich.table import Table
+from scipy import stats
 from scipy.optimize import differential_evolution, minimize
 
 from diffshadow.console import Console
@@ -18,9 +19,12 @@ SHARE = 0.08
 """The share of scenes with acne that a rule should stay below."""
 # What a share of scenes with acne beyond it costs, in prices.
 _PENALTY = 3.0
+CONFIDENCE = 0.9
+"""How likely the stated intervals contain what would be found in all scenes that the collection could have."""
 
 FAMILIES = {
     "constant": (True, False, False),
+    "normal offset": (False, False, True),
     "constant + slope": (True, True, False),
     "constant + normal offset": (True, False, True),
     "all three": (True, True, True),
@@ -47,7 +51,7 @@ class Measured:
 
     @classmethod
     def of(cls, found: Sequence[Mapping[str, np.ndarray]], sizes: Sequence[float], apart: Sequence[bool]) -> "Measured":
-        names = [*errors.FILTERS, *(f"{name} {errors.PLANE}" for name in errors.WITH_PLANE), *errors.ENGINES]
+        names = [*errors.FILTERS, *(name + errors.PLANE for name in errors.WITH_PLANE), *errors.ENGINES]
         stacked = lambda key, shape: np.stack([each.get(key, np.full(shape, np.nan)) for each in found])
         grids = {name: stacked(name, (len(errors.grid_of(name)), 3)) for name in names}
         return cls(
@@ -114,18 +118,34 @@ def _cell(axis: Sequence[float], value: np.ndarray) -> tuple[np.ndarray, np.ndar
 # --- What a rule is worth ---
 
 
-def worth(found: np.ndarray, best: np.ndarray, chosen: np.ndarray) -> dict[str, float]:
+def worth(found: np.ndarray, best: np.ndarray, chosen: np.ndarray) -> dict[str, Any]:
     """What errors (scenes, 3) are worth over the `chosen` scenes: prices against the `best` error of each scene, and
-    shares of scenes."""
+    shares of scenes, each with its interval."""
     counted = chosen & np.isfinite(found[:, 0])
-    price = errors.ratio(found[counted, 0], best[counted])
+    price, acne, leaks = errors.ratio(found[counted, 0], best[counted]), *(found[counted, 1:] > ACNE).T
     return {
         "price": float(price.mean()),
         "worst_decile": float(np.quantile(price, 0.9)),
-        "acne": float(np.mean(found[counted, 1] > ACNE)),
-        "leaks": float(np.mean(found[counted, 2] > ACNE)),
+        "acne": float(np.mean(acne)),
+        "leaks": float(np.mean(leaks)),
         "scenes": int(counted.sum()),
+        "intervals": {"price": _interval_of_mean(price), "acne": _interval_of_share(acne)}
+        | {"leaks": _interval_of_share(leaks)},
     }
+
+
+def _interval_of_mean(values: np.ndarray) -> list[float]:
+    """The interval of a mean, from means of values that are drawn again with replacement."""
+    if np.ptp(values) == 0:
+        return [float(values[0])] * 2
+    of = stats.bootstrap((values,), np.mean, confidence_level=CONFIDENCE, method="percentile", rng=0)
+    return [float(end) for end in of.confidence_interval]
+
+
+def _interval_of_share(has: np.ndarray) -> list[float]:
+    """Wilson's interval of a share."""
+    of = stats.binomtest(int(has.sum()), has.size).proportion_ci(CONFIDENCE, method="wilson")
+    return [float(of.low), float(of.high)]
 
 
 def _cost(found: np.ndarray, best: np.ndarray, chosen: np.ndarray) -> float:
@@ -187,52 +207,64 @@ def _raised(bias: Sequence[float], by: np.ndarray) -> np.ndarray:
 
 _CONSTANT, _SLOPE, _OFFSET = (0.0, 12.0), (0.0, 4.0), (0.0, 3.0)
 _GROWTH = (0.0, 1.5)
-_THREE = [_CONSTANT, _GROWTH, _OFFSET]
+_TWO, _THREE = [_CONSTANT, _GROWTH], [_CONSTANT, _GROWTH, _OFFSET]
 FORMULAS: dict[str, Formula] = {
     "c, s, n": Formula([_CONSTANT, _SLOPE, _OFFSET], lambda p, r, of: np.array([p[0], p[1], p[2]])),
     "c r, s, n": Formula([_GROWTH, _SLOPE, _OFFSET], lambda p, r, of: np.array([p[0] * r, p[1], p[2]])),
+    "c, s r": Formula(_TWO, lambda p, r, of: np.array([p[0], p[1] * r, 0.0])),
     "c, s r, n": Formula(_THREE, lambda p, r, of: np.array([p[0], p[1] * r, p[2]])),
     "c, s + t r": Formula([_CONSTANT, _SLOPE, _GROWTH], lambda p, r, of: np.array([p[0], p[1] + p[2] * r, 0.0])),
     "c + d r, s + t r": Formula(
         [_CONSTANT, _GROWTH, _SLOPE, _GROWTH], lambda p, r, of: np.array([p[0] + p[1] * r, p[2] + p[3] * r, 0.0])
     ),
-    "c, s r, n; c other under lamps": Formula(
-        [*_THREE, (-8.0, 8.0)], lambda p, r, of: _raised([p[0], p[1] * r, p[2]], p[3] * of["perspective"])
+    "c, s r; c other under lamps": Formula(
+        [*_TWO, (-8.0, 8.0)], lambda p, r, of: _raised([p[0], p[1] * r, 0.0], p[2] * of["perspective"])
     ),
-    "c, s r, n; c by texels on the screen": Formula(
-        [*_THREE, (-2.0, 2.0)],
-        lambda p, r, of: _raised([p[0], p[1] * r, p[2]], p[3] * np.log2(of["pixels_per_texel"])),
+    "c, s r; c by texels on the screen": Formula(
+        [*_TWO, (-2.0, 2.0)],
+        lambda p, r, of: _raised([p[0], p[1] * r, 0.0], p[2] * np.log2(of["pixels_per_texel"])),
     ),
-    "c, s r, n; c by the slope of receivers": Formula(
-        [*_THREE, (-4.0, 4.0)], lambda p, r, of: _raised([p[0], p[1] * r, p[2]], p[3] * of["steepness"])
+    "c, s r; c by the slope of receivers": Formula(
+        [*_TWO, (-4.0, 4.0)], lambda p, r, of: _raised([p[0], p[1] * r, 0.0], p[2] * of["steepness"])
     ),
 }
 """Formulas by how constant, slope and normal offset follow from the reach r, and from the scene. The first one ignores
 both."""
 
 
-def formula_of(measured: Measured, formula: Formula) -> np.ndarray:
-    """The numbers of a formula that are best over all filters and the scenes that are searched."""
-    bests = {name: measured.best(name) for name in errors.FILTERS}
+PLANE_FORMULA = Formula([(0.0, 5.0)], lambda p, r, of: np.array([p[0] * (1 + r), 0.0, 0.0]))
+"""The formula beside a bias from the receiver's plane."""
+_REACHES = {name: each.reach for name, each in errors.FILTERS.items()}
+PLANE_REACHES = {name + errors.PLANE: _REACHES[name] for name in errors.WITH_PLANE}
+"""The reach of the filters with a bias from the receiver's plane."""
+
+
+def formula_of(measured: Measured, formula: Formula, reaches: Mapping[str, float] = _REACHES) -> np.ndarray:
+    """The numbers of a formula that are best over all filters of `reaches` and the scenes that are searched."""
+    bests = {name: measured.best(name) for name in reaches}
 
     def cost(numbers: np.ndarray) -> float:
         costs = [
-            _cost(measured.at(name, formula.bias(numbers, each.reach, measured.named)), bests[name], ~measured.apart)
-            for name, each in errors.FILTERS.items()
+            _cost(measured.at(name, formula.bias(numbers, reach, measured.named)), bests[name], ~measured.apart)
+            for name, reach in reaches.items()
         ]
-        return float(np.mean(costs)) + 10 * _below(numbers[:3])
+        return float(np.mean(costs)) + 10 * _below(numbers[:2])
 
     found = differential_evolution(cost, formula.bounds, rng=0, popsize=8, maxiter=25, tol=1e-4, polish=False).x
     return _refined(cost, found[None], *np.array(formula.bounds).T)
 
 
 def worths(
-    measured: Measured, formula: Formula, numbers: np.ndarray, chosen: np.ndarray
-) -> dict[str, dict[str, float]]:
+    measured: Measured,
+    formula: Formula,
+    numbers: np.ndarray,
+    chosen: np.ndarray,
+    reaches: Mapping[str, float] = _REACHES,
+) -> dict[str, dict[str, Any]]:
     """What a formula is worth for each filter over the `chosen` scenes."""
     return {
-        name: worth(measured.at(name, formula.bias(numbers, each.reach, measured.named)), measured.best(name), chosen)
-        for name, each in errors.FILTERS.items()
+        name: worth(measured.at(name, formula.bias(numbers, reach, measured.named)), measured.best(name), chosen)
+        for name, reach in reaches.items()
     }
 
 
@@ -284,7 +316,7 @@ def search(measured: Measured) -> dict[str, Any]:
         best = measured.best(name)
         chosen = measured.errors[name].reshape(len(apart), -1, 3)
         fitted = chosen[np.arange(len(apart)), chosen[..., 0].argmin(axis=1)]
-        plain = measured.best(name.removesuffix(f" {errors.PLANE}"))
+        plain = measured.best(name.removesuffix(errors.PLANE))
         filters[name] = {
             # The error of the best bias for each scene, over that of the best one without a receiver plane.
             "against_plain": float(np.mean(errors.ratio(best, plain)[apart])),
@@ -294,15 +326,7 @@ def search(measured: Measured) -> dict[str, Any]:
                 family: _rule(measured, name, rule_of(measured, name, free)) for family, free in families.items()
             },
         }
-    formulas = {}
-    for label, formula in FORMULAS.items():
-        numbers = formula_of(measured, formula)
-        by_filter = worths(measured, formula, numbers, apart)
-        formulas[label] = {
-            "numbers": numbers.tolist(),
-            **{key: float(np.mean([each[key] for each in by_filter.values()])) for key in ("price", "acne", "leaks")},
-            "filters": by_filter,
-        }
+    formulas = {label: _formula(measured, formula) for label, formula in FORMULAS.items()}
     engines = {}
     for name in errors.ENGINES:
         best, free = measured.best(name), (True, False, errors.ENGINES[name].has_offset)
@@ -313,7 +337,15 @@ def search(measured: Measured) -> dict[str, Any]:
             "own_worth": own_worth,
             **_rule(measured, name, rule_of(measured, name, free)),
         }
-    return {"filters": filters, "formulas": formulas, "engines": engines}
+    with_plane = _formula(measured, PLANE_FORMULA, PLANE_REACHES)
+    return {"filters": filters, "formulas": formulas, "plane": with_plane, "engines": engines}
+
+
+def _formula(measured: Measured, formula: Formula, reaches: Mapping[str, float] = _REACHES) -> dict[str, Any]:
+    numbers = formula_of(measured, formula, reaches)
+    by_filter = worths(measured, formula, numbers, measured.apart, reaches)
+    means = {key: float(np.mean([each[key] for each in by_filter.values()])) for key in ("price", "acne", "leaks")}
+    return {"numbers": numbers.tolist(), **means, "filters": by_filter}
 
 
 def _rule(measured: Measured, name: str, bias: np.ndarray) -> dict[str, Any]:
@@ -335,7 +367,7 @@ def show(console: Console, result: Mapping[str, Any]) -> None:
             table.add_row(name, family, *map(str, rule["bias"]), *_worth_cells(rule["tested"]))
     console.print(table)
     table = Table("formula", "numbers", "price", "acne", "leaks")
-    for label, found in result["formulas"].items():
+    for label, found in {**result["formulas"], "c (1 + r), with a receiver plane": result["plane"]}.items():
         numbers = ", ".join(f"{x:.2f}" for x in found["numbers"])
         table.add_row(label, numbers, f"{found['price']:.2f}", f"{found['acne']:.0%}", f"{found['leaks']:.0%}")
     console.print(table)

@@ -1,7 +1,7 @@
 """Which biases hold over many scenes, for each filter and engine, and what do they cost against fits?
 
     python experiments/rules_of_thumb.py --scenes 16       # 15 minutes on two cores
-    python experiments/rules_of_thumb.py --scenes 112      # an hour
+    python experiments/rules_of_thumb.py --scenes 104      # an hour
 
 Measures a collection of scenes, which is drawn from a seed, with all combinations of constant bias, slope bias and
 normal offset, for each filter and engine. Rules are then searched for in one half of the scenes, and tested on the
@@ -22,6 +22,7 @@ import _common as common
 import _rule_errors as errors
 import _rule_figures as figures
 import _rule_layouts as layouts
+import _rule_page as page
 import _rules as rules
 import numpy as np
 from cyclopts import App
@@ -32,14 +33,19 @@ from diffshadow.console import Console
 
 NAME = "rules_of_thumb"
 _MOST, _DPI = 10_000, 110
+ROOT = Path(__file__).parent.parent
+PAGE, PACKAGED = ROOT / "docs" / "rules_of_thumb.md", ROOT / "diffshadow" / "settings" / "rules.json"
+"""What `--publish` writes, with the figures."""
 # The rule with which taps are measured.
-_DISK, _FAMILY = "disk 4", "all three"
+_DISK, _FAMILY = "random_disk, radius 4", "all three"
 
 app = App(help=__doc__, help_format="plaintext", result_action="return_value")
 
 
 @app.default
-def main(*, scenes: int = 16, seed: int = 0, pixels: int = 160, output: Path = Path("runs")) -> dict[str, Any]:
+def main(
+    *, scenes: int = 16, seed: int = 0, pixels: int = 160, publish: bool = False, output: Path = Path("runs")
+) -> dict[str, Any]:
     """Measures a collection of scenes and finds rules.
 
     Parameters
@@ -50,6 +56,8 @@ def main(*, scenes: int = 16, seed: int = 0, pixels: int = 160, output: Path = P
         Of the collection.
     pixels
         The side of an image, in pixels.
+    publish
+        Also write the tables and figures of docs/rules_of_thumb.md, and the rules that the package ships.
     output
         Where the folder rules_of_thumb is made.
     """
@@ -76,16 +84,23 @@ def main(*, scenes: int = 16, seed: int = 0, pixels: int = 160, output: Path = P
     result |= {"layouts": layouts.compared(by_layout, every), "taps": layouts.taps_compared(by_taps)}
     rules.show(console, result)
     layouts.show(console, result)
+    about = {"scenes": scenes, "seed": seed, "pixels": pixels, **result}
+    text = json.dumps(about, indent=1, allow_nan=False) + "\n"
     drawn = {
         f"{NAME}.png": figures.of_rules(result),
         "collection.png": figures.of_collection(seed, pixels, measured.described),
     }
     for name, made in drawn.items():
-        with io.atomic_path(folder / name) as path:
-            made.savefig(path, format="png", dpi=_DPI, metadata={"Software": "diffshadow"})
-    with io.atomic_path(folder / f"{NAME}.json") as path:
-        about = {"scenes": scenes, "seed": seed, "pixels": pixels, **result}
-        path.write_text(json.dumps(about, indent=1, allow_nan=False) + "\n")
+        for to in (folder, *([PAGE.parent / "images"] if publish else [])):
+            with io.atomic_path(to / name) as path:
+                made.savefig(path, format="png", dpi=_DPI, metadata={"Software": "diffshadow"})
+    texts = {folder / f"{NAME}.json": text}
+    if publish:
+        texts[PAGE] = page.with_tables(PAGE.read_text(encoding="utf-8"), page.tables(about))
+        texts[PACKAGED] = page.as_text(page.packaged(about))
+    for to, written in texts.items():
+        with io.atomic_path(to) as path:
+            path.write_text(written, encoding="utf-8")
     console.print(str(folder), soft_wrap=True)
     return {**result, "folder": str(folder)}
 

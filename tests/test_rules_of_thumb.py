@@ -40,7 +40,7 @@ def measured(best, scenes=40, noise=0.0):
     rng, found = np.random.default_rng(0), []
     for i in range(scenes):
         of = {}
-        for name in [*errors.FILTERS, *(f"{name} {errors.PLANE}" for name in errors.WITH_PLANE), *errors.ENGINES]:
+        for name in [*errors.FILTERS, *(name + errors.PLANE for name in errors.WITH_PLANE), *errors.ENGINES]:
             reach = errors.FILTERS[name].reach if name in errors.FILTERS else 2.0
             grid = errors.grid_of(name)
             away = np.abs(grid - best(reach)) * (grid.max(axis=0) > 0)
@@ -55,14 +55,15 @@ def measured(best, scenes=40, noise=0.0):
 
 def test_the_best_bias_of_all_scenes_is_found_and_costs_nothing():
     rules, made = measured(lambda reach: np.array([1.5, 2.0, 0.0]))
-    bias = rules.rule_of(made, "disk 4", (True, True, False))
+    name = "random_disk, radius 4"
+    bias = rules.rule_of(made, name, (True, True, False))
     np.testing.assert_allclose(bias, [1.5, 2, 0], atol=0.05)
-    worth = rules.worth(made.at("disk 4", bias), made.best("disk 4"), made.apart)
+    worth = rules.worth(made.at(name, bias), made.best(name), made.apart)
     assert worth["price"] == pytest.approx(1, abs=0.03)
     assert worth["acne"] == 0
     assert worth["scenes"] == 20
     # Too small a bias has acne in half of the scenes.
-    assert rules.worth(made.at("disk 4", np.array([0.5, 2.0, 0.0])), made.best("disk 4"), made.apart)["acne"] == 0.5
+    assert rules.worth(made.at(name, np.array([0.5, 2.0, 0.0])), made.best(name), made.apart)["acne"] == 0.5
 
 
 @pytest.mark.exhaustive
@@ -82,9 +83,9 @@ def test_errors_between_the_biases_that_were_tried_are_linear():
     errors = importlib.import_module("_rule_errors")
     line = lambda c, s, n: 0.05 + 0.02 * (15 - c + 5 - s + 3.5 - n)
     for bias in ((0.2, 0.7, 0.1), (12.0, 4.9, 3.0), (15, 5, 3.5)):
-        np.testing.assert_allclose(made.at("pcf 3x3", np.array(bias))[:, 0], line(*bias), rtol=1e-5)
+        np.testing.assert_allclose(made.at("pcf, radius 1.5", np.array(bias))[:, 0], line(*bias), rtol=1e-5)
     each = np.linspace(0, 10, len(made.apart))[:, None] * [1, 0.3, 0.2]
-    np.testing.assert_allclose(made.at("pcf 3x3", each)[:, 0], [line(*row) for row in each], rtol=1e-5)
+    np.testing.assert_allclose(made.at("pcf, radius 1.5", each)[:, 0], [line(*row) for row in each], rtol=1e-5)
     # Beyond its ends the grid's last error counts.
     np.testing.assert_allclose(made.at("bevy", np.array([99.0, 9.0, 0.0]))[:, 0], 0.05 + 0.02 * 3.5, rtol=1e-5)
     assert len(errors.grid_of("babylon.js")) == len(errors.CONSTANT)

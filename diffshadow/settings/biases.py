@@ -19,14 +19,18 @@ class Bias(Settings):
     """Biases, which move receivers towards the light before the compare."""
 
     constant: Annotated[
-        Texels, Fitted(), At("constant.value"), "constant bias, in texels; default: 0.5, or 0 with a plane or terms"
-    ] = 0.5
+        Texels,
+        Fitted(),
+        At("constant.value"),
+        "constant bias, in texels; default: a rule of thumb for the filter, or 0 with terms",
+    ] = 0.0
     slope: Annotated[
         Texels,
         Fitted(),
         At("slope.value"),
-        "bias per unit of the receiver's slope, in texels; default: 0.5, or 0 with a plane or terms",
-    ] = 0.5
+        "bias per unit of the receiver's slope, in texels; default: a rule of thumb for the filter, or 0 with a plane "
+        "or terms",
+    ] = 0.0
     slope_profile: Annotated[
         SlopeProfile, At("slope.profile"), "how the slope bias grows with the angle to the light"
     ] = "tangent"

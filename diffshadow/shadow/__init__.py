@@ -13,6 +13,7 @@ from ._lookup import Lookup, look_up
 from ._map import Overflow, ShadowMap
 from ._projective import ProjectiveShadow, ProjectiveTexture
 from ._receiver import Receiver, receiver
+from ._rule_of_thumb import bias_for
 from ._shadow_mapping import ShadowMapping
 from ._technique import AbstractTechnique, FittableTechnique, Side
 from ._volumes import ShadowVolumes, Volumes, VolumeScene, shadow_volumes
@@ -125,6 +126,7 @@ __all__ = [
     "Volumes",
     "WarpMethod",
     "aliasing",
+    "bias_for",
     "draw_shadow_map",
     "engine_code",
     "engine_settings",

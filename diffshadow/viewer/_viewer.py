@@ -182,6 +182,9 @@ def settings_of(state: State, given: Config, now: Config) -> dict[str, Any]:
         moved = any(name.startswith(f"{key}.") for name in state.numbers)
         if moved and getattr(value_at(given, key), "direction", None) is not None:
             settings |= {f"{key}.direction": None, **{f"{key}.{a}": value_at(now, f"{key}.{a}") for a in _ANGLES}}
+    if any(name.partition(".")[0] == "filter" for name in settings):
+        # Left out, they would follow the filter.
+        settings |= {name: value_at(now, name) for name in ("bias.constant", "bias.slope")}
     if state.camera is not None:
         if getattr(given.scene.camera, "orbit", None) is not None:
             settings["scene.camera.orbit"] = None

@@ -17,7 +17,7 @@ from diffshadow.config import (
     load_config,
     parse_config,
 )
-from diffshadow.settings import filters
+from diffshadow.settings import filters, rules
 from diffshadow.settings.biases import Terms
 from diffshadow.settings.fit import widest_blur
 from diffshadow.shadow.biases import FEATURES
@@ -190,7 +190,7 @@ BROKEN = {
     "text for a number": (
         "bias: {slope: steep}\n",
         "2: bias.slope: is 'steep'; expected a number at least 0 and at most 8192, in texels; "
-        "give such a value (the default is 0.5)",
+        "give such a value (the default is 0.0)",
     ),
     "number in quotes": (
         "bias: {slope: '1e-3'}\n",
@@ -210,7 +210,7 @@ BROKEN = {
     "not a number": (
         "bias: {slope: .nan}\n",
         "2: bias.slope: is nan; expected a number at least 0 and at most 8192, in texels; "
-        "give such a value (the default is 0.5)",
+        "give such a value (the default is 0.0)",
     ),
     "out of range": (
         "reference: {samples: 0}\n",
@@ -1221,10 +1221,40 @@ def test_a_bias_of_terms_needs_no_other_by_default():
     assert parse_config(dump_resolved(parse_config(text))) == parse_config(text)
 
 
-def test_a_bias_that_knows_the_plane_needs_no_other_by_default():
+def test_a_bias_that_knows_the_plane_needs_little_else_by_default():
     plane = parse_config(TINY + "bias: {plane: {type: receiver_plane}}").bias
-    assert (plane.constant, plane.slope) == (0, 0)
+    assert (plane.constant, plane.slope) == (rules.plane_constant_for(2.5), 0)
+    for other in ("{type: adaptive}", "{type: receiver_plane, deepening: 1}"):
+        assert parse_config(TINY + f"bias: {{plane: {other}}}").bias.constant == 0
     assert parse_config(TINY + "bias: {slope: 2, plane: {type: adaptive}}").bias.slope == 2
+
+
+@pytest.mark.parametrize(
+    ("section", "reach"),
+    [
+        ("{}", 2.5),
+        ("{type: bilinear}", 0.5),
+        ("{type: pcf, radius: 4}", 4.0),
+        ("{type: castano, size: 7}", 4.0),
+        ("{radius: 3}", 3.5),
+    ],
+)
+def test_without_a_bias_there_is_the_one_that_holds_over_many_scenes(section, reach):
+    text = f"{TINY}filter: {section}\n"
+    bias = parse_config(text).bias
+    assert (bias.constant, bias.slope, bias.normal_offset) == (*rules.bias_for(reach), 0)
+    assert parse_config(f"{text}bias: {{constant: 1}}").bias.slope == bias.slope
+    for own in ("{slope: 0}", "{terms: {slope: 1}}", "{unit: depth}"):
+        assert parse_config(f"{text}bias: {own}").bias.slope == 0
+    fitted = "fit: {parameters: {bias.constant: {lower: 0, upper: 2}, bias.slope: {lower: 4, upper: 9}}}"
+    bias = parse_config(text + fitted).bias
+    assert (bias.constant, bias.slope) == (2, 4)
+    assert parse_config(dump_resolved(parse_config(text))) == parse_config(text)
+
+
+def test_filters_without_a_rule_have_little_bias():
+    assert parse_config(TINY + "filter: {type: vsm}").bias.constant == 0.5
+    assert parse_config(TINY + "filter: {type: vsm}\nbias: {plane: {type: receiver_plane}}").bias.constant == 0
 
 
 def test_override_reaches_a_parameter_of_the_scene():

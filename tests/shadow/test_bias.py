@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 from scenes import LIGHTS, drawn, floor_and_card, lamp, problem, slopes_of_loss, sun
 
+from diffshadow import shadow
 from diffshadow._arithmetic import as_float, at_least, at_most
 from diffshadow.raster import Surface
+from diffshadow.settings import rules
 from diffshadow.shadow import (
     AdaptiveBias,
     Bias,
@@ -548,3 +550,17 @@ def _named(module, name):
     for part in name.split("."):
         module = module[part] if isinstance(module, dict) else getattr(module, part)
     return module
+
+
+def test_the_bias_for_a_filter_is_that_of_a_configuration():
+    found = shadow.bias_for(shadow.PercentageCloser(2.5))
+    np.testing.assert_allclose((found.constant.value, found.slope.value), rules.bias_for(2.5), rtol=1e-6)
+    beside = shadow.bias_for(shadow.PercentageCloser(2.5), shadow.ReceiverPlane())
+    expected = (rules.plane_constant_for(2.5), 0)
+    np.testing.assert_allclose((beside.constant.value, beside.slope.value), expected, rtol=1e-6)
+    assert isinstance(beside.plane, shadow.ReceiverPlane)
+    assert float(shadow.bias_for(shadow.Bilinear(), shadow.AdaptiveBias()).constant.value) == 0
+    little = shadow.bias_for(shadow.VarianceShadowMap(2.0))
+    assert (float(little.constant.value), float(little.slope.value)) == (0.5, 0.5)
+    with pytest.raises(ValueError, match="whose radius is traced"):
+        jax.jit(lambda radius: shadow.bias_for(shadow.RandomDisk(radius)).slope.value)(2.0)

@@ -33,7 +33,7 @@ def test_all_rules_are_listed_with_what_they_are_worth():
     for name, rule in rules.FILTER_RULES.items():
         (line,) = [line for line in text.splitlines() if f"│ {name} " in line]
         found = [float(x) for x in re.findall(r"[\d.]+", line.split(name)[1])]
-        assert found[:3] == [rule.constant, rule.slope, rule.normal_offset]
+        assert found[:3] == [float(f"{value:.3g}") for value in rule.bias]
         assert found[3] == pytest.approx(rule.worth.price, abs=0.006)
 
 
@@ -42,8 +42,8 @@ def test_all_rules_are_listed_with_what_they_are_worth():
 )
 def test_a_filters_bias_follows_from_its_reach(kind, radius, reach):
     text = printed(filter=kind, radius=radius)
-    constant, slope, offset = rules.bias_for(reach)
-    assert f"bias: {{constant: {constant:.3g}, slope: {slope:.3g}, normal_offset: {offset:.3g}}}" in text
+    constant, slope = rules.bias_for(reach)
+    assert f"bias: {{constant: {constant:.3g}, slope: {slope:.3g}}}" in text
     assert ("receiver_plane" in text) == (reach >= 1)
     assert f"type: {kind}" in text
 
@@ -97,13 +97,14 @@ def test_options_that_say_nothing_are_refused_in_one_line(arguments, said, capsy
 def test_the_page_has_the_numbers_that_the_command_prints():
     page = PAGE.read_text()
     for name, rule in rules.FILTER_RULES.items():
-        numbers = " ".join(rf"{value:g} \|" for value in (rule.constant, rule.slope, rule.normal_offset))
-        row = rf"\| {re.escape(name)} \| {numbers} {rule.worth.price:.2f} \| {rule.worth.acne:.0%} \|"
+        numbers = " ".join(rf"{value:.3g} \|" for value in rule.bias)
+        row = rf"\| {re.escape(name)} \| {numbers} {rule.worth.price:.2f} ± 0\.\d+ \| {rule.worth.acne:.0%} \|"
         assert re.search(row, page), name
     for name, rule in rules.ENGINE_RULES.items():
         shipped = rf"{rule.shipped.price:.2f} \| {rule.shipped.acne:.0%} \| {rule.shipped.leaks:.0%} \|"
-        row = rf"\| {re.escape(ENGINES[name])} \|.*\| {shipped} {rule.constant:g} \| {rule.normal_offset:g} \|"
+        row = rf"\| {re.escape(ENGINES[name])} \|.*\| {shipped} {rule.constant:.3g} \| {rule.normal_offset:.3g} \|"
         assert re.search(row, page), name
-    formula = f"constant {rules.CONSTANT:g}, slope {rules.SLOPE_PER_TEXEL:g} r, normal offset {rules.NORMAL_OFFSET:g}"
+    formula = f"constant {rules.CONSTANT:g}, slope {rules.SLOPE_PER_TEXEL:g} r"
     assert formula in page
     assert f"constant {rules.PLANE_CONSTANT:g} (1 + r)" in page
+    assert f"searched for in {rules.SEARCHED} of them, and tested on the other {rules.SCENES}" in page

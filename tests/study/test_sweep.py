@@ -27,8 +27,10 @@ from diffshadow.config import Config, ConfigError, SweepConfig, load_config, loa
 from diffshadow.config.reading._axes import levels_of
 from diffshadow.config.reading._load import parse_draft
 from diffshadow.metrics import flicker
+from diffshadow.settings import rules
 from diffshadow.study.sweeps._curves import curves_of
 from diffshadow.study.sweeps._run import missing_runs
+from diffshadow.study.sweeps._work import drawing_of
 
 pytestmark = pytest.mark.usefixtures("tiny_figures")
 
@@ -110,7 +112,8 @@ def test_axes_nest_in_their_order_and_the_last_changes_first():
 def test_whole_sections_and_their_keys_can_be_set_in_turn():
     sweep = sweep_of("{list: [{bias: {constant: 2}}, {bias: {slope: 3}}], grid: {bias.normal_offset: [0, 1]}}")
     found = [(run.config.bias.constant, run.config.bias.slope, run.config.bias.normal_offset) for run in sweep.runs]
-    assert found == [(2, 0.5, 0), (2, 0.5, 1), (0.5, 3, 0), (0.5, 3, 1)]
+    constant, slope = rules.bias_for(2.5)
+    assert found == [(2, slope, 0), (2, slope, 1), (constant, 3, 0), (constant, 3, 1)]
 
 
 @pytest.mark.parametrize("sequence", ["sobol", "halton"])
@@ -429,9 +432,10 @@ def test_table_has_a_row_for_each_run_in_order(finished):
 def test_flicker_is_measured_along_a_path():
     """From frame to frame, as `metrics.flicker` of what renders of the frames show; a bias of 0 crawls most."""
     path = "{count: 2, through: {scene.light.azimuth: [-150, -148]}}"
-    sweep = sweep_of(f"{{grid: {{bias.constant: [0, 4]}}, flicker: {path}, plot: {{x: bias.constant, y: flicker}}}}")
+    section = f"{{grid: {{bias.constant: [0, 4]}}, flicker: {path}, plot: {{x: bias.constant, y: flicker}}}}"
+    sweep = sweep_of(section, "bias.slope=0.5")
     assert [frame.scene.light.azimuth for frame in sweep.runs[0].frames] == [-150, -148]
-    assert sweep.runs[0].id != sweep_of("{grid: {bias.constant: [0, 4]}}").runs[0].id
+    assert sweep.runs[0].id != sweep_of("{grid: {bias.constant: [0, 4]}}", "bias.slope=0.5").runs[0].id
     found = table(study.run_sweep(sweep, console=Console(quiet=True), workers=0))["flicker"]
     render = lambda frame: study.read_run(study.run_render(frame, console=Console(quiet=True))).lights[0]
     lights = map(render, sweep.runs[0].frames)
@@ -518,6 +522,12 @@ def test_runs_of_one_shape_share_programs_and_drawings(finished, monkeypatch):
     timings = pyarrow.parquet.read_table(Path("runs/s-sweep/timings.parquet")).to_pydict()
     # One drawing for each seed, since that is also the reference's.
     assert sum(seconds is not None for seconds in timings["drawing"]) == 2
+
+
+@pytest.mark.parametrize(("technique", "count"), [("shadow_map", 1), ("cascades", 2)])
+def test_a_map_is_drawn_again_only_if_its_margin_follows_the_filter(technique, count):
+    sweep = sweep_of("{grid: {filter.radius: [1, 12], bias.constant: [0, 2]}}", f"technique={{type: {technique}}}")
+    assert len({drawing_of(run.config) for run in sweep.runs}) == count
 
 
 def test_sweep_that_is_started_again_does_only_what_is_missing(quick):

@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from ...settings import Form, Limits, Unit
+from ...settings import Form, Limits, Unit, rules
 from ...settings.quantities import Size
 from .._errors import KeyPath, dotted, listing, show
 from ._axes import LABEL
@@ -19,38 +19,41 @@ LISTS = ("biases", "filters")
 _OF_A_TECHNIQUE = ("technique", "shadow_map", "bias", "compare", "filter", "fit.anneal", "fit.solver")
 _SIZE = "shadow_map.resolution"
 
+# Where fits start, in texels: `rules.STARTS` are for this radius.
+_RADIUS = 2.0
+
 Entries = Annotated[tuple[dict[str, Any], ...], Form("a list of sections of dotted keys")]
 _Sizes = Annotated[tuple[Size, ...], Form("a list of [height, width]"), Unit("texels")]
 
 
-def _bias(label: str, *fitted: str, plane: str = "none") -> dict[str, Any]:
-    """A bias whose numbers are 0, except for the fitted ones."""
+def _bias(label: str, starts: rules.Numbers, *fitted: str, plane: str = "none") -> dict[str, Any]:
     # Together with a disk of 16 texels, the offset stays within the faces of a point light's map of 512 texels.
     most = {"constant": 30.0, "slope": 10.0, "normal_offset": 6.0}
-    starts = {name: 0.5 if name in fitted else 0.0 for name in most}
     return {
         LABEL: label,
-        "bias": {**starts, "plane": {"type": plane}},
+        "bias": {**starts._asdict(), "plane": {"type": plane}},
         PARAMETERS: {f"bias.{name}": {"lower": 0.0, "upper": most[name]} for name in fitted},
     }
 
 
 def _biases() -> tuple[dict[str, Any], ...]:
+    """Biases whose fits start at the rules of thumb for the filters below."""
+    starts, with_plane = rules.STARTS, rules.Numbers(rules.plane_constant_for(_RADIUS + 0.5), 0.0, 0.0)
     return (
-        _bias("constant", "constant"),
-        _bias("slope", "constant", "slope"),
-        _bias("normal offset", "normal_offset"),
-        _bias("constant + offset", "constant", "normal_offset"),
-        _bias("receiver plane", "constant", plane="receiver_plane"),
+        _bias("constant", starts["constant"], "constant"),
+        _bias("slope", starts["constant + slope"], "constant", "slope"),
+        _bias("normal offset", starts["normal offset"], "normal_offset"),
+        _bias("constant + offset", starts["constant + normal offset"], "constant", "normal_offset"),
+        _bias("receiver plane", with_plane, "constant", plane="receiver_plane"),
     )
 
 
 def _filters() -> tuple[dict[str, Any], ...]:
     radius = lambda upper: {"filter.radius": {"lower": 0.0, "upper": upper}}
-    disk = {"type": "random_disk", "samples": 16, "radius": 2.0}
+    disk = {"type": "random_disk", "samples": 16, "radius": _RADIUS}
     return (
         {LABEL: "nearest", "filter": {"type": "nearest"}},
-        {LABEL: "tent", "filter": {"type": "tent", "radius": 2.0}, PARAMETERS: radius(4.0)},
+        {LABEL: "tent", "filter": {"type": "tent", "radius": _RADIUS}, PARAMETERS: radius(4.0)},
         {LABEL: "16-tap disk", "filter": disk, PARAMETERS: radius(16.0)},
     )
 

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from ...settings import Form, biases
 from ...settings.biases import Number
-from ._section import Conflict, Section, Variants, fault, given, value_at
+from ._section import Conflict, Section, Variants, fault, given
 
 PLANES = Variants(biases.Plane, "none", __name__)
 PlaneConfig = Annotated[biases.Plane, PLANES]
@@ -41,7 +41,7 @@ class NetworkConfig(Section):
     last: Annotated[_Numbers, "weights of the last hidden layer's values, in texels"]
 
 
-def _has_terms(bias: Mapping[str, Any]) -> bool:
+def has_terms(bias: Mapping[str, Any]) -> bool:
     """`TermsConfig.given` of a bias that is not validated yet. What is no mapping is reported elsewhere."""
     terms = bias.get("terms")
     return bool(given(terms, *terms) if isinstance(terms, Mapping) else terms)
@@ -57,15 +57,7 @@ class BiasConfig(Section, biases.Bias):
     plane: PlaneConfig = Field(default_factory=PLANES.make, description="bias from the receiver's plane")
 
     @classmethod
-    def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:
-        # The defaults are in texels, and a bias from the receiver's plane or of terms needs no other.
-        plain = value_at(data, "plane", "type", default="none") == "none" and not _has_terms(data)
-        if plain and data.get("unit") != "depth":
-            return data
-        return {"constant": 0.0, "slope": 0.0, **data}
-
-    @classmethod
     def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
-        if data.get("network") is not None and not _has_terms(data):
+        if data.get("network") is not None and not has_terms(data):
             what = fault("is given without terms", "the terms that it corrects", "give terms, such as {slope: 0.5}")
             yield ("network",), what

@@ -10,6 +10,7 @@ from ..sections._fit import UPPER
 from ..sections._fitted import misnamed
 from ..sections._section import Conflict, is_number, value_at
 from ._between import data_faults_of_fit, fit_faults, run_faults
+from ._bias_rule import with_bias
 from ._parts import Parts
 
 
@@ -42,6 +43,7 @@ class Config(Parts):
 
     @classmethod
     def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:
+        data = with_bias(data)
         section = data.get("fit", {})
         if not isinstance(section, Mapping) or "parameters" in section or section.get("shape") is not None:
             return data

@@ -16,19 +16,7 @@ from ...shadow import engine_settings
 from ..pages import _table as table
 from ._formula_engines import FORMULA_ENGINES, lines_of
 
-_KERNELS: Mapping[str, type[filters.Filter]] = {
-    each.type: each
-    for each in (
-        filters.Nearest,
-        filters.Bilinear,
-        filters.FourTap,
-        filters.PercentageCloser,
-        filters.Tent,
-        filters.Castano,
-        filters.RandomDisk,
-    )
-}
-"""Filters whose taps are compared one by one, as far as a known reach."""
+_KERNELS: Mapping[str, type[filters.Filter]] = {each.type: each for each in rules.MEASURED}
 # The filter of each engine that its rule was measured with, as in `FORMULA_ENGINES`.
 _MEASURED: Mapping[EngineName, str] = {
     "three.js": "PCFShadowMap",
@@ -102,15 +90,16 @@ def _refuse(needed: str, of: str, given: Mapping[str, float | None]) -> None:
 def _print_all(console: Console) -> None:
     made = Table("filter", "constant", "slope", "normal offset", "price", "acne", "leaks")
     for name, rule in rules.FILTER_RULES.items():
-        numbers = (f"{value:g}" for value in (rule.constant, rule.slope, rule.normal_offset))
+        numbers = (f"{value:.3g}" for value in rule.bias)
         made.add_row(name, *numbers, *_cells(rule.worth))
     console.print(made)
     table.print_lines(
         console,
         [
-            f"for a filter that reaches r texels: constant {rules.CONSTANT:g}, slope {rules.SLOPE_PER_TEXEL:g} r, "
-            f"normal offset {rules.NORMAL_OFFSET:g}; {_sentence(rules.FORMULA_WORTH)}",
-            f"with a bias from the receiver's plane: constant {rules.PLANE_CONSTANT:g} (1 + r)",
+            f"for a filter that reaches r texels: constant {rules.CONSTANT:g}, slope {rules.SLOPE_PER_TEXEL:g} r; "
+            f"{_sentence(rules.FORMULA_WORTH)}",
+            f"with a bias from the receiver's plane: constant {rules.PLANE_CONSTANT:g} (1 + r); "
+            f"{_sentence(rules.PLANE_WORTH)}",
             f"price: the mean error over that of the best bias for each of {rules.SCENES} scenes; acne, leaks: the "
             "share of scenes where more than a thousandth of the light is wrongly missing, or there",
             "for a filter: diffshadow defaults --filter random_disk --radius 3",
@@ -132,9 +121,9 @@ def _print_filter(name: str, radius: float | None, console: Console) -> None:
             f"--radius is {radius:g}; expected 0 to {rules.MAX_REACH:g} texels, where the rule was measured; change it"
         )
     reach = kind.reach_of(kind if radius is None else SimpleNamespace(radius=radius))
-    constant, slope, offset = rules.bias_for(reach)
+    constant, slope = rules.bias_for(reach)
     size = f", radius: {radius:g}" if radius is not None else ""
-    numbers = f"constant: {constant:.3g}, slope: {slope:.3g}, normal_offset: {offset:.3g}"
+    numbers = f"constant: {constant:.3g}, slope: {slope:.3g}"
     lines = [f"filter: {{type: {name}{size}}}", f"bias: {{{numbers}}}  # texels"]
     table.print_code(console, f"for a filter that reaches {reach:g} texels:", "\n".join(lines))
     table.print_lines(console, [_sentence(rules.FORMULA_WORTH)])
@@ -156,9 +145,9 @@ def _print_engine(engine: EngineName, size: int, window: float, depth: float, co
         chosen = next(each for each in known.filters if each.label == _MEASURED[engine])
         radius = float(chosen.section.get("radius", 0.0))
         lines = lines_of(engine, chosen, radius, light, (size, size), rule.constant * texel, offset, 1.0)
-    title = f"{ENGINES[engine]}, {_MEASURED[engine]}: {rule.constant:g} texels towards the light"
+    title = f"{ENGINES[engine]}, {_MEASURED[engine]}: {rule.constant:.3g} texels towards the light"
     if offset:
-        title += f", and {offset:g} along the normal"
+        title += f", and {offset:.3g} along the normal"
     table.print_code(console, f"{title}; a texel is {texel:.4g} world units wide", "\n".join(lines))
     table.print_lines(
         console,

@@ -156,11 +156,12 @@ def shape_of(config: Config) -> str:
 
 
 def drawing_of(config: Config) -> str:
-    """Everything that a run's drawings and reference depend on, as text: all settings used before the filter's taps."""
-    data = config.model_dump(
-        mode="json", warnings=False, exclude={"name", "output", "sweep", "advise", "filter", "fit", "shading"}
-    )
-    return json.dumps({**data, "filter": config.filter.type}, sort_keys=True)
+    """Everything that a run's drawings and reference depend on, as text: all settings used before a look-up."""
+    without = {"name", "output", "sweep", "advise", "bias", "filter", "compare", "fit", "shading", "technique"}
+    data = config.model_dump(mode="json", warnings=False, exclude=without)
+    # Margins of maps depend on the filter and the bias.
+    technique: Any = config.laid_out({})
+    return json.dumps({**data, "technique": technique.model_dump(mode="json", warnings=False)}, sort_keys=True)
 
 
 def reference_of(config: Config) -> str:

@@ -1,0 +1,38 @@
+"""The bias that holds over many scenes with a filter."""
+
+from ..settings import rules
+from .biases import AbstractBias, Bias, ReceiverPlane
+from .filters import AbstractFilter
+
+
+def bias_for(filter: AbstractFilter, plane: AbstractBias | None = None) -> Bias:
+    """The bias that holds over many scenes with a filter: what a configuration has that gives none.
+
+    It is a rule of thumb, measured over a collection of scenes. A fit to a scene has less error; the documentation's
+    page on rules of thumb says by how much.
+
+    **Arguments:**
+
+    - `plane`: a `ReceiverPlane` that is a part of the bias, which then needs less; or an `AdaptiveBias`, which needs no
+        other.
+
+    **Raises** `ValueError` for a filter with a traced radius.
+
+    !!! Example
+
+        ```python
+        filter = shadow.RandomDisk(3.0)
+        bias = shadow.bias_for(filter)
+        f"{bias.constant.value:.1f} and {bias.slope.value:.1f} texels"  # 8.9 and 2.1 texels
+        ```
+    """
+    if plane is not None and not isinstance(plane, ReceiverPlane):
+        return Bias(plane=plane)
+    reach = filter.reach
+    if reach is None and issubclass(filter.settings, rules.MEASURED):
+        raise ValueError(
+            "bias_for was called inside jax.jit (or grad, or vmap) for a filter whose radius is traced; expected a "
+            "radius that is known: make the bias outside"
+        )
+    constant, slope = rules.bias_of(filter.settings, reach or 0.0, plane=plane is not None)
+    return Bias(constant, slope, plane=plane)

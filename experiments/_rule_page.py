@@ -1,0 +1,148 @@
+"""What docs/rules_of_thumb.md and the package take from the measured rules: tables, and the numbers to type."""
+
+import json
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+import _rule_errors as errors
+
+from diffshadow.settings.engines import ENGINES
+
+FORMULA = "c, s r"
+"""The formula that the package uses for all filters."""
+_STARTS = "random_disk, radius 2"
+# The families of the page's comparison, as it names them.
+_FAMILIES = {
+    "constant": "constant",
+    "constant + slope": "constant, slope",
+    "constant + normal offset": "constant, offset",
+    "all three": "all three",
+}
+# How the page writes what an engine ships.
+_SETTINGS = {
+    "three.js": "`bias` {:g}, `normalBias` {:g}",
+    "babylon.js": "`bias` {:g} (PCF)",
+    "godot": "`shadow_bias` {:g}, `shadow_normal_bias` {:g}",
+    "bevy": "`shadow_depth_bias` {:g}, `shadow_normal_bias` {:g}",
+    "filament": "`constantBias` {:g}, `normalBias` {:g}",
+    "unity": "depth {:g}, normal {:g}",
+}
+
+
+def packaged(result: Mapping[str, Any]) -> dict[str, Any]:
+    """The rules as `diffshadow.settings.rules` reads them."""
+    formula = result["formulas"][FORMULA]
+    by_filter = {name: _rule_of(found) for name, found in result["filters"].items()}
+    return {
+        "scenes": result["scenes"],
+        "tested": _tested(result),
+        "reach": max(each.reach for each in errors.FILTERS.values()),
+        "formula": {"numbers": formula["numbers"], "worth": _worth(formula)},
+        "plane": {"number": result["plane"]["numbers"][0], "worth": _worth(result["plane"])},
+        "filters": {name: {"bias": rule["bias"], "worth": _worth(rule["tested"])} for name, rule in by_filter.items()},
+        "starts": {name: rule["bias"] for name, rule in result["filters"][_STARTS]["rules"].items()},
+        "engines": {
+            name: {
+                "bias": [found["bias"][0], found["bias"][2]],
+                "worth": _worth(found["tested"]),
+                "shipped": _worth(found["shipped"]),
+            }
+            for name, found in result["engines"].items()
+        },
+    }
+
+
+def _tested(result: Mapping[str, Any]) -> int:
+    """How many scenes rules were tested on."""
+    return max(found["none"]["scenes"] for found in result["filters"].values())
+
+
+def _rule_of(found: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The rule of a filter: with all biases that were tried."""
+    return list(found["rules"].values())[-1]
+
+
+def _worth(found: Mapping[str, float]) -> list[float]:
+    return [round(found[key], 4) for key in ("price", "acne", "leaks")]
+
+
+def tables(result: Mapping[str, Any]) -> dict[str, str]:
+    """The tables of the page, in Markdown, by name."""
+    worth = ("price", "acne", "leaks")
+    biases = ("none", *_FAMILIES.values(), "the formula", "best for each scene")
+    layouts, taps = result["layouts"], result["taps"]
+    compared, counts = list(next(iter(layouts.values()))), next(iter(taps.values()))
+    pair = lambda of: f"{of['wins']:.0%}, {of['ratio']:.2f}"
+    return {
+        "filters": _table(("filter", "constant", "slope", "normal offset", *worth), _filter_rows(result)),
+        "biases": _table(("filter", *biases), _bias_rows(result)),
+        "formulas": _table(
+            ("formula", "numbers", *worth),
+            [(label, _numbers(found["numbers"]), *_cells(found)) for label, found in result["formulas"].items()],
+        ),
+        "engines": _table(("engine", "ships", *worth, "rule, texels", "offset, texels", *worth), _engine_rows(result)),
+        "layouts": _table(
+            ("texels", "scenes", *compared),
+            [(label.replace(", ", "² | "), *(pair(of[name]) for name in compared)) for label, of in layouts.items()],
+        ),
+        "taps": _table(
+            ("pattern", *(f"{count} taps" for count in counts)),
+            [(name, *(f"{error:.3f}, {noise:.4f}" for error, noise in of.values())) for name, of in taps.items()],
+        ),
+    }
+
+
+def _filter_rows(result: Mapping[str, Any]) -> Iterator[Sequence[str]]:
+    for name, found in result["filters"].items():
+        rule = _rule_of(found)
+        low, high = rule["tested"]["intervals"]["price"]
+        price, *shares = _cells(rule["tested"])
+        yield name, *(f"{x:.3g}" for x in rule["bias"]), f"{price} ± {(high - low) / 2:.2f}", *shares
+
+
+def _bias_rows(result: Mapping[str, Any]) -> Iterator[Sequence[str]]:
+    short = lambda found: ", ".join(_cells(found)[:2])
+    for name, formula in result["formulas"][FORMULA]["filters"].items():
+        found = result["filters"][name]
+        none = f"{found['none']['price']:.1f}, {found['none']['acne']:.0%}"
+        by_family = (short(found["rules"][family]["tested"]) for family in _FAMILIES)
+        yield name, none, *by_family, short(formula), f"{found['fitted']['acne']:.0%}"
+
+
+def _engine_rows(result: Mapping[str, Any]) -> Iterator[Sequence[str]]:
+    for name, found in result["engines"].items():
+        settings, (constant, _, offset) = _SETTINGS[name].format(*errors.ENGINES[name].values), found["bias"]
+        shipped, tested = _cells(found["shipped"]), _cells(found["tested"])
+        yield ENGINES[name], settings, *shipped, f"{constant:.3g}", f"{offset:.3g}", *tested
+
+
+def _numbers(values: Sequence[float]) -> str:
+    return ", ".join(f"{x:.3g}" for x in values)
+
+
+def _cells(found: Mapping[str, Any]) -> list[str]:
+    return [f"{found['price']:.2f}", f"{found['acne']:.0%}", f"{found['leaks']:.0%}"]
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    line = lambda cells: f"| {' | '.join(cells)} |"
+    return "\n".join([line(head), "|" + "---|" * len(head), *map(line, rows)])
+
+
+def with_tables(page: str, made: Mapping[str, str]) -> str:
+    """A page with each table behind its mark, `<!-- table: NAME -->`, as it is `made`.
+
+    **Raises** `ValueError` for a table without a mark.
+    """
+    for name, table in made.items():
+        mark = f"<!-- table: {name} -->\n"
+        if page.count(mark) != 1:
+            raise ValueError(f"the page has {page.count(mark)} marks {mark.strip()}; expected one: add it")
+        page = re.sub(re.escape(mark) + r"\n(\|.*\n)*", lambda _, text=f"{mark}\n{table}\n": text, page)
+    return page
+
+
+def as_text(rules: Mapping[str, Any]) -> str:
+    """Packaged rules as a file has them."""
+    return json.dumps(rules, indent=1, ensure_ascii=False) + "\n"
