@@ -14,6 +14,7 @@ from jax import lax
 from scipy import ndimage
 
 from diffshadow import fit, raster, reference, shadow
+from diffshadow.settings.engines import POLYGON_OFFSETS
 
 CONSTANT = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.5, 7.0, 10.0, 15.0)
 SLOPE = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 5.0)
@@ -22,6 +23,8 @@ OFFSET = (0.0, 0.5, 1.0, 2.0, 3.5)
 
 PLANE = ", with a receiver plane"
 """What the names of filters end with that have a bias from the receiver's plane."""
+ACNE = 1e-3
+"""A scene has acne or leaks if more than this part of the light is wrongly missing, or wrongly there."""
 # An error that nobody sees: ratios of smaller ones say nothing.
 _NEGLIGIBLE = 2e-3
 TAPS = 16
@@ -60,7 +63,6 @@ class Shipped(NamedTuple):
     - `engine`: its name in `engine_settings`; `constant`, `offset`: its settings of the two biases, and `values` what
       it ships for them.
     - `softness`: as for `engine_settings`.
-    - `polygon_offset`: the factor and units with which the engine draws its maps besides.
     - `lengths`: which of the two settings are lengths in world units, and so depend on a scene's size.
     - `has_offset`: whether the normal offset is tried; one that moves casters needs a map for each value.
     """
@@ -72,7 +74,6 @@ class Shipped(NamedTuple):
     offset: str
     values: tuple[float, float]
     softness: float = 1.0
-    polygon_offset: tuple[float, float] | None = None
     lengths: tuple[bool, bool] = (False, False)
     has_offset: bool = True
 
@@ -123,7 +124,6 @@ ENGINES: dict[str, Shipped] = {
         "constantBias",
         "normalBias",
         (0.001, 1.0),
-        polygon_offset=(2.0, 0.5),
         lengths=(True, False),
     ),
     "unity": Shipped(
@@ -134,7 +134,6 @@ ENGINES: dict[str, Shipped] = {
         "shadowNormalBias",
         (1.0, 1.0),
         2.5,
-        polygon_offset=(2.5, 1.0),
     ),
 }
 """Engines, by the names that the command takes, and what they ship."""
@@ -142,7 +141,7 @@ ENGINES: dict[str, Shipped] = {
 _PATHS = ("bias.constant.value", "bias.slope.value", "bias.normal_offset.value")
 
 
-class _Seen(eqx.Module):
+class Seen(eqx.Module):
     """The truth of a scene: (h, w).
 
     - `inside`: the pixels that count; `lit`, `dark`: those that are wholly lit or dark, out of a kernel's reach of
@@ -166,7 +165,7 @@ def measure(settings: Any) -> dict[str, np.ndarray]:
     """
     case = common.draw(settings)
     plain, shadow_map, covered = plain_map(case)
-    pixels = _pixels_per_texel(plain, shadow_map, case)
+    pixels = pixels_per_texel(plain, shadow_map, case)
     at = shadow.receiver(shadow_map, case.surface)
     found: dict[str, np.ndarray] = {}
     for name, (chosen, reach) in FILTERS.items():
@@ -205,9 +204,13 @@ def _technique(chosen: shadow.AbstractFilter, *, plane: bool = False, profile: A
 
 
 @eqx.filter_jit
-def _scores(technique: Any, shadow_map: Any, surface: raster.Surface, seen: _Seen) -> jax.Array:
+def _scores(technique: Any, shadow_map: Any, surface: raster.Surface, seen: Seen) -> jax.Array:
     """Root mean square error, acne and leaks."""
-    visibility = technique.visibility(shadow_map, surface)
+    return scores_of(technique.visibility(shadow_map, surface), seen)
+
+
+def scores_of(visibility: jax.Array, seen: Seen) -> jax.Array:
+    """Root mean square error, acne and leaks of a picture, (3,)."""
     count = jnp.maximum(jnp.sum(seen.inside), 1)
     squares = jnp.where(seen.inside, (visibility - seen.truth) ** 2, 0)
     acne, leaks = jnp.where(seen.lit, 1 - visibility, 0), jnp.where(seen.dark, visibility, 0)
@@ -215,7 +218,7 @@ def _scores(technique: Any, shadow_map: Any, surface: raster.Surface, seen: _See
 
 
 @eqx.filter_jit
-def _grid_scores(technique: Any, paths: Any, grid: jax.Array, shadow_map: Any, surface: Any, seen: _Seen) -> jax.Array:
+def _grid_scores(technique: Any, paths: Any, grid: jax.Array, shadow_map: Any, surface: Any, seen: Seen) -> jax.Array:
     one = lambda numbers: _scores(fit.with_values(technique, paths, numbers), shadow_map, surface, seen)
     return lax.map(one, grid)
 
@@ -225,24 +228,24 @@ def grid_errors(
     grid: np.ndarray,
     shadow_map: Any,
     surface: raster.Surface,
-    seen: _Seen,
+    seen: Seen,
     paths: Sequence[str] = _PATHS,
 ) -> np.ndarray:
     """Root mean square error, acne and leaks, (n, 3), with each row of `grid` as the numbers at `paths`."""
     return np.asarray(_grid_scores(technique, tuple(paths), jnp.asarray(grid), shadow_map, surface, seen))
 
 
-def seen_by(truth: reference.Reference, covered: np.ndarray, footprint: float) -> _Seen:
+def seen_by(truth: reference.Reference, covered: np.ndarray, footprint: float) -> Seen:
     """Pixels out of a kernel's reach of others, which is `footprint` pixels on the screen."""
     width = 2 * min(max(1, math.ceil(footprint)), 24) + 1
     image = np.asarray(truth.visibility)
     near = lambda region: np.asarray(ndimage.maximum_filter(covered & ~region, size=width, mode="constant"), bool)
     within = lambda region: region & ~near(region)
     lit, dark = within(covered & (image >= 1 - 1e-6)), within(covered & (image <= 1e-6))
-    return _Seen(jnp.asarray(image), *(jnp.asarray(each) for each in (covered, lit, dark)))
+    return Seen(jnp.asarray(image), *(jnp.asarray(each) for each in (covered, lit, dark)))
 
 
-def _pixels_per_texel(plain: shadow.ShadowMapping, shadow_map: Any, case: common.Case) -> float:
+def pixels_per_texel(plain: shadow.ShadowMapping, shadow_map: Any, case: common.Case) -> float:
     """How long nearly all texels are at most on the screen."""
     extents = plain.aliasing(shadow_map, case.surface, case.scene.camera)
     mask = np.asarray(extents.mask)
@@ -262,7 +265,7 @@ def _of_engine(
     pixels: float,
 ) -> dict[str, np.ndarray]:
     """What an engine draws by default, and with each bias; nothing under a light that it does not have."""
-    units = _units(shipped, case, at)
+    units = units_of(shipped, case, at)
     if units is None:
         return {}
     if shipped.filter is None:
@@ -274,13 +277,13 @@ def _of_engine(
     grid, resolution = grid_of(name), case.settings.shadow_map.resolution
     if shipped.filter is not None:
         technique = _technique(shipped.filter, profile=shadow.OFFSET_PROFILES[shipped.engine])
-        if shipped.polygon_offset is not None:
-            offset_map = shadow.MapSettings(resolution, polygon_offset=shipped.polygon_offset)
+        if name in POLYGON_OFFSETS:
+            offset_map = shadow.MapSettings(resolution, polygon_offset=POLYGON_OFFSETS[name])
             shadow_map = dataclasses.replace(technique, map=offset_map).prepare(case.scene, case.surface)
         both = np.concatenate([grid, [[own[0], 0.0, own[1]]]])
         errors = grid_errors(technique, both, shadow_map, case.surface, seen)
     else:
-        technique = _engine_technique(name, resolution)
+        technique = engine_technique(name, resolution)
         state = technique.prepare(case.scene, case.surface)
         paths = ("bias", "normal_bias")[: 2 if shipped.has_offset else 1]
         numbers = np.concatenate([grid[:, [0, 2]] * units, [shipped.values]])[:, : len(paths)]
@@ -288,13 +291,13 @@ def _of_engine(
     return {name: errors[:-1], f"shipped {name}": errors[-1], f"units {name}": np.array(units)}
 
 
-def _engine_technique(name: str, resolution: tuple[int, int]) -> Any:
+def engine_technique(name: str, resolution: tuple[int, int]) -> Any:
     if name == "three.js":
         return shadow.ThreeJs(resolution=resolution)
     return shadow.BabylonJs(filter="PCF", resolution=resolution)
 
 
-def _units(shipped: Shipped, case: common.Case, at: shadow.Receiver) -> tuple[float, float] | None:
+def units_of(shipped: Shipped, case: common.Case, at: shadow.Receiver) -> tuple[float, float] | None:
     """An engine's two settings for a bias and a normal offset of one texel at the median receiver."""
     mask, light = np.asarray(case.surface.mask), case.scene.light
     texel = float(np.median(np.asarray(at.texel_size)[mask]))

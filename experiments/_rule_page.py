@@ -5,6 +5,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
+import _rule_engines as engines
 import _rule_errors as errors
 
 from diffshadow.settings.engines import ENGINES
@@ -70,11 +71,12 @@ def _worth(found: Mapping[str, float]) -> list[float]:
 def tables(result: Mapping[str, Any]) -> dict[str, str]:
     """The tables of the page, in Markdown, by name."""
     worth = ("price", "acne", "leaks")
+    in_engines = result.get("in_engines", {})
     biases = ("none", *_FAMILIES.values(), "the formula", "best for each scene")
     layouts, taps = result["layouts"], result["taps"]
     compared, counts = list(next(iter(layouts.values()))), next(iter(taps.values()))
     pair = lambda of: f"{of['wins']:.0%}, {of['ratio']:.2f}"
-    return {
+    made = {
         "filters": _table(("filter", "constant", "slope", "normal offset", *worth), _filter_rows(result)),
         "biases": _table(("filter", *biases), _bias_rows(result)),
         "formulas": _table(
@@ -91,6 +93,16 @@ def tables(result: Mapping[str, Any]) -> dict[str, str]:
             [(name, *(f"{error:.3f}, {noise:.4f}" for error, noise in of.values())) for name, of in taps.items()],
         ),
     }
+    if in_engines:
+        made["in engines"] = _table(
+            engines.HEAD,
+            [
+                (ENGINES[name], state, *engines.cells_of(of[state]))
+                for name, of in in_engines.items()
+                for state in engines.STATES
+            ],
+        )
+    return made
 
 
 def _filter_rows(result: Mapping[str, Any]) -> Iterator[Sequence[str]]:

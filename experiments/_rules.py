@@ -13,8 +13,6 @@ from scipy.optimize import differential_evolution, minimize
 
 from diffshadow.console import Console
 
-ACNE = 1e-3
-"""A scene has acne or leaks if more than this part of the light is wrongly missing, or wrongly there."""
 SHARE = 0.08
 """The share of scenes with acne that a rule should stay below."""
 # What a share of scenes with acne beyond it costs, in prices.
@@ -122,7 +120,7 @@ def worth(found: np.ndarray, best: np.ndarray, chosen: np.ndarray) -> dict[str, 
     """What errors (scenes, 3) are worth over the `chosen` scenes: prices against the `best` error of each scene, and
     shares of scenes, each with its interval."""
     counted = chosen & np.isfinite(found[:, 0])
-    price, acne, leaks = errors.ratio(found[counted, 0], best[counted]), *(found[counted, 1:] > ACNE).T
+    price, acne, leaks = errors.ratio(found[counted, 0], best[counted]), *(found[counted, 1:] > errors.ACNE).T
     return {
         "price": float(price.mean()),
         "worst_decile": float(np.quantile(price, 0.9)),
@@ -151,7 +149,7 @@ def _interval_of_share(has: np.ndarray) -> list[float]:
 def _cost(found: np.ndarray, best: np.ndarray, chosen: np.ndarray) -> float:
     """What a search makes least: the mean price, while at most `SHARE` of the scenes have acne."""
     price = np.nanmean(errors.ratio(found[chosen, 0], best[chosen]))
-    acne = np.mean(found[chosen, 1] > ACNE)
+    acne = np.mean(found[chosen, 1] > errors.ACNE)
     return float(price + _PENALTY * max(0.0, acne - SHARE))
 
 

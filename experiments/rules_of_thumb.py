@@ -19,6 +19,7 @@ from typing import Any
 
 import _collection as collection
 import _common as common
+import _rule_engines as engines
 import _rule_errors as errors
 import _rule_figures as figures
 import _rule_layouts as layouts
@@ -26,9 +27,10 @@ import _rule_page as page
 import _rules as rules
 import numpy as np
 from cyclopts import App
+from engines.engines import missing
 
 from diffshadow import io
-from diffshadow.config import Config, parse_config
+from diffshadow.config import Config, ConfigError, Location, Mistake, parse_config
 from diffshadow.console import Console
 
 NAME = "rules_of_thumb"
@@ -44,7 +46,13 @@ app = App(help=__doc__, help_format="plaintext", result_action="return_value")
 
 @app.default
 def main(
-    *, scenes: int = 16, seed: int = 0, pixels: int = 160, publish: bool = False, output: Path = Path("runs")
+    *,
+    scenes: int = 16,
+    seed: int = 0,
+    pixels: int = 160,
+    in_engines: int = 0,
+    publish: bool = False,
+    output: Path = Path("runs"),
 ) -> dict[str, Any]:
     """Measures a collection of scenes and finds rules.
 
@@ -56,6 +64,8 @@ def main(
         Of the collection.
     pixels
         The side of an image, in pixels.
+    in_engines
+        How many of the scenes that rules are tested on three.js and Babylon.js draw themselves.
     publish
         Also write the tables and figures of docs/rules_of_thumb.md, and the rules that the package ships.
     output
@@ -65,6 +75,10 @@ def main(
     common.expect("scenes", scenes, 2 * kinds <= scenes <= _MOST, f"{2 * kinds} to {_MOST}, two or more of each kind")
     common.expect("pixels", pixels, 16 <= pixels <= 1024, "16 to 1024")
     common.expect("seed", seed, seed >= 0, "0 or more")
+    common.expect("in_engines", in_engines, 0 <= in_engines <= scenes // 2, f"0 to {scenes // 2}, the test scenes")
+    lack = missing() if in_engines else None
+    if lack is not None:
+        raise ConfigError([Mistake(Location("--in-engines"), "", lack)])
     console, folder = Console(), output / NAME
     io.check_writable(folder)
 
@@ -82,8 +96,14 @@ def main(
     by_layout = list(each("layouts", scenes // 2, layouts.layout_errors))
     by_taps = list(each("taps", scenes // 8, lambda settings: layouts.tap_errors(settings, bias), str(bias)))
     result |= {"layouts": layouts.compared(by_layout, every), "taps": layouts.taps_compared(by_taps)}
+    if in_engines:
+        tested = [i for i in range(scenes) if apart[i]][:in_engines]
+        texts = [json.dumps(collection.scene(seed, i, pixels)) for i in tested]
+        own = {name: (result["engines"][name]["bias"][0], result["engines"][name]["bias"][2]) for name in engines.EXACT}
+        result["in_engines"] = engines.checked([parse_config(each) for each in texts], own, console)
     rules.show(console, result)
     layouts.show(console, result)
+    engines.show(console, result.get("in_engines", {}))
     about = {"scenes": scenes, "seed": seed, "pixels": pixels, **result}
     text = json.dumps(about, indent=1, allow_nan=False) + "\n"
     drawn = {

@@ -123,3 +123,36 @@ def test_what_was_measured_is_kept_and_the_same_each_time(monkeypatch):
     # Of another scene, it is measured again.
     with pytest.raises(AssertionError, match="measured again"):
         script.stored(path, text.replace("32", "33"), "", fail)
+
+
+def test_tables_of_a_page_are_replaced_behind_their_marks():
+    page = importlib.import_module("_rule_page")
+    text = "before\n\n<!-- table: a -->\n\n| old |\n|---|\n| 1 |\n\nafter | here\n"
+    made = page.with_tables(text, {"a": "| new |\n|---|\n| \\1 |"})
+    assert made == text.replace("old", "new").replace("| 1 |", "| \\1 |")
+    assert page.with_tables(made, {}) == made
+    with pytest.raises(ValueError, match="0 marks <!-- table: b -->; expected one"):
+        page.with_tables(text, {"b": ""})
+
+
+def test_the_package_and_the_page_have_the_same_tables():
+    page, script = importlib.import_module("_rule_page"), importlib.import_module("rules_of_thumb")
+    text = script.PAGE.read_text(encoding="utf-8")
+    packaged = json.loads(script.PACKAGED.read_text(encoding="utf-8"))
+    assert page.as_text(packaged) == script.PACKAGED.read_text(encoding="utf-8")
+    for name, found in packaged["filters"].items():
+        assert f"| {name} | {' | '.join(f'{x:.3g}' for x in found['bias'])} | {found['worth'][0]:.2f} ±" in text
+
+
+def test_intervals_are_those_of_the_sample():
+    errors, rules = importlib.import_module("_rule_errors"), importlib.import_module("_rules")
+    price = np.random.default_rng(0).uniform(1, 2, 40)
+    found = np.stack([price * 1.0, np.r_[np.ones(4), np.zeros(36)], np.zeros(40)], axis=1)
+    worth = rules.worth(found, np.ones(40), np.ones(40, bool))
+    spread = 1.645 * errors.ratio(price, np.ones(40)).std() / np.sqrt(40)
+    low, high = worth["intervals"]["price"]
+    assert (high - low) / 2 == pytest.approx(spread, rel=0.1)
+    assert low < worth["price"] < high
+    low, high = worth["intervals"]["acne"]
+    assert (low, high) == pytest.approx((0.045, 0.21), abs=0.01)
+    assert worth["intervals"]["leaks"][0] == 0 < worth["intervals"]["leaks"][1] < 0.1

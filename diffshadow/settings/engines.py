@@ -39,6 +39,8 @@ ENGINES: dict[EngineName, str] = {
     "babylon.js": "Babylon.js",
 }
 """The engines, and how sentences name them."""
+POLYGON_OFFSETS: dict[EngineName, tuple[float, float]] = {"filament": (2.0, 0.5), "unity": (2.5, 1.0)}
+"""The factor and the units of the polygon offset with which engines draw their maps beside the bias of a light."""
 ImportedTechnique = Literal["three.js", "shadow_map"]
 """The technique of a configuration that is made of an engine's scene."""
 

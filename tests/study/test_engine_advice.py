@@ -14,7 +14,8 @@ from scenes import marked, staying_in
 
 from diffshadow import study
 from diffshadow.config import ConfigError, load_config
-from diffshadow.settings.engines import ENGINES
+from diffshadow.settings.engines import ENGINES, POLYGON_OFFSETS
+from diffshadow.settings.rules import ENGINE_RULES
 from diffshadow.study.advice import _advise as module
 from diffshadow.study.advice._engines import engine_code
 from diffshadow.study.advice._times import Load, times_of
@@ -198,23 +199,25 @@ LINES = {
 
 @pytest.mark.parametrize("engine", marked(LINES, ("bevy", "filament")))
 def test_code_of_a_formula_has_the_engines_units(engine):
-    """A bias of half a texel, an offset of half a texel, and a radius of the engine's own."""
+    """The bias and the offset that fits start at, in texels, and a radius of the engine's own."""
     (bias, offset), filters = HAS[engine]
-    both = advice(engine).sweep.runs[-1].config
+    both, rule = advice(engine).sweep.runs[-1].config, ENGINE_RULES[engine]
+    assert both.shadow_map.polygon_offset == POLYGON_OFFSETS.get(engine)
     code = engine_code(engine, both, filters[-1])["scene.light"]
     (lit,) = lit_by(both, Stages(QUIET))
-    shift, depth = 0.5 * lit.texel, lit.texel / lit.depth_per_texel
+    shift, depth = rule.constant * lit.texel, lit.texel / lit.depth_per_texel
     expected = {
         # A radius of 3 texels is a blur of 1, and divides the bias by 3.
-        "godot": {bias: 100 * shift / depth / 3, offset: 0.5, "shadow_blur": 1},
-        "bevy": {bias: shift, offset: 0.5 / np.sqrt(2)},
-        "filament": {bias: shift, offset: 1.0},
-        "unity": {bias: 0.5 / 3.5, offset: 0.5 / 3.5},
+        "godot": {bias: 100 * shift / depth / 3, offset: rule.normal_offset, "shadow_blur": 1},
+        "bevy": {bias: shift, offset: rule.normal_offset / np.sqrt(2)},
+        "filament": {bias: shift, offset: 2 * rule.normal_offset},
+        "unity": {bias: rule.constant / 3.5, offset: rule.normal_offset / 3.5},
     }[engine]
     found = values_of(code)
     assert {name: found[name] for name in expected} == pytest.approx(expected, rel=1e-4)
     assert all(line in code for line in LINES[engine])
     assert "not verified against the engine" in code
+    assert ("beside the polygon offset" in code) == (engine in POLYGON_OFFSETS)
     hard = engine_code(engine, advice(engine).sweep.runs[0].config, filters[0])["scene.light"]
     assert values_of(hard)[offset] == 0
 

@@ -9,12 +9,12 @@ from rich.table import Table
 
 from ...geometry import DirectionalLight
 from ...settings import filters, rules
-from ...settings.engines import ENGINES, EngineName
+from ...settings.engines import ENGINES, POLYGON_OFFSETS, EngineName
 from ...settings.quantities import FARTHEST, MAX_TEXELS
 from ...settings.rules import Worth
 from ...shadow import engine_settings
 from ..pages import _table as table
-from ._formula_engines import FORMULA_ENGINES, lines_of
+from ._formula_engines import FORMULA_ENGINES, beside, lines_of
 
 _KERNELS: Mapping[str, type[filters.Filter]] = {each.type: each for each in rules.MEASURED}
 # The filter of each engine that its rule was measured with, as in `FORMULA_ENGINES`.
@@ -26,11 +26,10 @@ _MEASURED: Mapping[EngineName, str] = {
     "filament": "PCF",
     "unity": "Soft, Medium",
 }
-# What these engines do beside the bias, and did where the rules were measured.
+# What the engines do beside the bias, and did where the rules were measured.
 _BESIDES: Mapping[EngineName, str] = {
     "three.js": "back faces cast, as by default (material.shadowSide)",
-    "filament": "beside the polygon offset that it ships (constant 0.5, slope 2)",
-    "unity": "beside the depth bias of the pipeline's shadow pass (1, slope 2.5)",
+    **{name: f"beside {beside(name)}" for name in POLYGON_OFFSETS},
 }
 
 

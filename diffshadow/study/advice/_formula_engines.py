@@ -10,12 +10,12 @@ from typing import Any, NamedTuple
 
 from ...config import LABEL, Config
 from ...geometry import AbstractLight, PointLight
-from ...settings.engines import ENGINES, EngineName
+from ...settings.engines import ENGINES, POLYGON_OFFSETS, EngineName
+from ...settings.rules import ENGINE_RULES
 from ...shadow import GODOT_QUALITIES, OFFSET_PROFILES, LightFrame, engine_settings, light_frame
 from ..runs._engine_fits import FACES, SIDES, Lit
 
 _MOST = {"constant": 30.0, "normal_offset": 4.0}
-_START = 0.5
 # Godot divides its bias by the radius.
 _RADII = (0.25, 16.0)
 _PARAMETERS = "parameters"
@@ -211,12 +211,12 @@ def _widest(lit: list[Lit], size: tuple[int, int]) -> float:
 
 
 def _bias(label: str, name: EngineName, *fitted: str) -> dict[str, Any]:
-    starts = {key: _START if key in fitted else 0.0 for key in _MOST}
+    starts = {key: getattr(ENGINE_RULES[name], key) if key in fitted else 0.0 for key in _MOST}
     return {
         LABEL: label,
         "bias": {**starts, "slope": 0.0, "normal_offset_profile": OFFSET_PROFILES[ENGINES[name]]},
         "compare": {"type": "hard"},
-        "shadow_map.polygon_offset": None,
+        "shadow_map.polygon_offset": POLYGON_OFFSETS.get(name),
         "shadow_map.depth_layer": "nearest",
         "shadow_map.silhouettes": None,
         _PARAMETERS: {f"bias.{key}": {"lower": 0.0, "upper": _MOST[key]} for key in fitted},
@@ -275,12 +275,20 @@ def _where(name: EngineName, config: Config, frame: LightFrame, lit: Lit) -> lis
         f"Holds where {FACES[SIDES[config.shadow_map.cull]]}.",
         f"Holds where a texel of the map is {frame.texel:.4g} world units wide{at}: a bias in texels grows with it.",
     ]
+    if name in POLYGON_OFFSETS:
+        lines += [f"Holds beside {beside(name)}."]
     if name == "godot" and frame.kind == "directional":
         depth = frame.far - frame.near
         lines += [f"Holds for a depth range of {depth:.4g}: with another, shadow_bias goes with {depth:.4g} / range."]
     if frame.kind != "directional":
         lines += ["Settings that do not grow with the distance as texels do hold there only."]
     return lines
+
+
+def beside(name: EngineName) -> str:
+    """The polygon offset that an engine draws its maps with, in words."""
+    slope, constant = POLYGON_OFFSETS[name]
+    return f"the polygon offset that {ENGINES[name]} draws its maps with: constant {constant:g}, slope {slope:g}"
 
 
 def _number(value: float) -> str:

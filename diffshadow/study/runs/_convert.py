@@ -17,7 +17,7 @@ from ...config import (
     dump_resolved,
     parse_config,
 )
-from ...settings.engines import ENGINES, Engine
+from ...settings.engines import ENGINES, POLYGON_OFFSETS, Engine
 from ...settings.filters import Castano
 from ...settings.techniques import SingleMap
 from ...shadow import (
@@ -88,7 +88,7 @@ def convert(
     lacking = list(_lacking(config))
     excluded = _print_conversions(config, lit, plain, lacking, console)
     if not lacking:
-        table.print_lines(console, [f"valid where {_casting(technique, config)}", _VALID])
+        table.print_lines(console, [f"valid where {_casting(technique, config)}", _VALID, _BESIDE])
     if excluded:
         of_engine = isinstance(config.technique, Engine)
         key = "technique.normal_bias" if of_engine else "bias.normal_offset_profile"
@@ -100,6 +100,10 @@ def convert(
 
 
 _VALID = "valid for this light's map; with another window, size, near or far, convert again"
+_BESIDE = (
+    f"{' and '.join(ENGINES[name] for name in POLYGON_OFFSETS)} draw their maps with a polygon offset besides, so less "
+    "may do there: fit it with diffshadow advise --engine"
+)
 _ALONE = "bias.constant alone, without slope, plane, terms and normal offset"
 
 
