@@ -175,9 +175,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     counts = [32, 100, 316, 1000]
     parser.add_argument("--views", type=views_of, nargs="+", default=counts, help="multiples of four")
-    parser.add_argument(
-        "--size", type=positive, default=128, help="side of images; maps have 4 times as many texels"
-    )
+    parser.add_argument("--size", type=positive, default=128, help="side of images; maps have 4 times as many texels")
     parser.add_argument("--over", default=Loss.over, help="of the loss: mean, worst or cvar")
     parser.add_argument("--json", type=Path, help="file for the figures")
     parser.add_argument("--child", action="store_true", help=argparse.SUPPRESS)
