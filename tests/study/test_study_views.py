@@ -147,7 +147,9 @@ def test_views_share_meshes_and_what_a_camera_sees_and_are_drawn_as_alone():
         for one, own in ((drawn.surface, alone.surface), (drawn.state, alone.state), (drawn.scene, alone.scene)):
             for array, expected in zip(jax.tree.leaves(one), jax.tree.leaves(own), strict=True):
                 np.testing.assert_array_equal(array, expected)
-        np.testing.assert_array_equal(drawn.reference.visibility, alone.reference.visibility)
+        for name in ("visibility", "position", "normal", "face"):
+            np.testing.assert_array_equal(getattr(drawn.reference, name), getattr(alone.reference, name))
+    assert near.reference.position is other.reference.position
 
 
 def test_flip_of_many_views_is_of_some_from_all_over():

@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 from ... import shadow
 from ...config import Config, ConfigError, FitView, Mistake, build_technique
-from ...raster import Surface
 from .._drawn import Drawn
 from ..remarks._scene import scene_remarks
 from ._progress import Stages
@@ -101,7 +100,7 @@ class _Kept(NamedTuple):
     """What views have in common, by the sections that it depends on, as JSON: their meshes, and what cameras see."""
 
     loaded: dict[str, Loaded]
-    surfaces: dict[str, Surface]
+    seen: dict[str, Drawn]
 
 
 def _drawn_in_turn(
@@ -123,10 +122,15 @@ def _drawn(view: FitView, technique: shadow.AbstractTechnique | None, kept: _Kep
     try:
         loaded = load(config, stages, kept.loaded.get(meshes))
         technique = build_technique(config) if technique is None else technique
-        drawn = draw(config, loaded, technique, stages, surface=kept.surfaces.get(sight))
+        like = kept.seen.get(sight)
+        drawn = draw(config, loaded, technique, stages, surface=None if like is None else like.surface)
     except ConfigError as error:
         named = [dataclasses.replace(each, message=f"{each.message} (in the view {name})") for each in error.mistakes]
         raise ConfigError(named) from error
-    kept.loaded[meshes], kept.surfaces[sight] = loaded, drawn[0].surface
+    kept.loaded[meshes] = loaded
+    like = kept.seen.setdefault(sight, drawn[0])
+    # Rays through pixels' centres see the same, whatever the light. Many views would not fit into memory otherwise.
+    seen = {name: getattr(like.reference, name) for name in ("position", "normal", "face")}
+    drawn = [each._replace(reference=dataclasses.replace(each.reference, **seen)) for each in drawn]
     key = lambda each: name if len(drawn) == 1 else f"{name}, {each.key}"
     return DrawnView(name, config, technique, [each._replace(key=key(each)) for each in drawn])
