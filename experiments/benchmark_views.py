@@ -62,10 +62,10 @@ class CompileTime:
         self._spans: list[tuple[float, float]] = []
         jax.monitoring.register_event_duration_secs_listener(self._add)
 
-    def _add(self, event: str, seconds: float, **_: Any) -> None:
+    def _add(self, event: str, duration_secs: float, **_: Any) -> None:
         if event.startswith("/jax/core/compile/"):
             end = time.perf_counter()
-            self._spans.append((end - seconds, end))
+            self._spans.append((end - duration_secs, end))
 
     def between(self, start: float, end: float) -> float:
         """The seconds from `start` to `end` in which something was compiled. Spans may lie in one another."""
@@ -104,8 +104,12 @@ def measure(views: int, size: int, over: str) -> dict[str, Any]:
     def timed(*given: Any, on_step: Any, **settings: Any) -> Any:
         """The fit, with the times of its steps and of its ends."""
         ends.append(time.perf_counter())
-        add = lambda step: steps.append((step.phase, time.perf_counter()))
-        result = fit_views(*given, **settings, on_step=lambda step: (add(step), on_step(step)))
+
+        def stepped(step: Any) -> None:
+            steps.append((step.phase, time.perf_counter()))
+            on_step(step)
+
+        result = fit_views(*given, **settings, on_step=stepped)
         ends.append(time.perf_counter())
         return result
 
