@@ -26,6 +26,9 @@ from ._errors import FileError
 _FORMAT = 1
 CACHE_LIMIT = 2 << 30
 """Bytes of results, and again of compiled programs, beyond which the least recently used are removed."""
+# Looking through a folder takes longer the more it holds, so it is pruned only once so many bytes have been added.
+_BETWEEN = CACHE_LIMIT >> 6
+_added: dict[Path, int] = {}
 # Entries, and temporary files of writers that were killed. No other file in the folder is ever removed.
 _RESULT = re.compile(r"\.?[0-9a-f]{64}(-[0-9a-f]+)?\.npz")
 # JAX names them by function and key.
@@ -66,7 +69,10 @@ def cached_arrays(
     arrays = _on_host(compute())
     try:
         _write(entry, arrays)
-        prune_cache(where)
+        _added[where] = _added.get(where, _BETWEEN) + entry.stat().st_size
+        if _added[where] > _BETWEEN:
+            prune_cache(where)
+            _added[where] = 0
     except (OSError, FileError) as error:
         _warn_of_no_cache(where, error)
     return arrays

@@ -2,16 +2,17 @@
 
 import dataclasses
 import os
+import weakref
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int
 
 from .._progress import showing
 from .._types import HostArray
-from ..geometry import AbstractLight, Scene
+from ..geometry import AbstractLight, Mesh, Scene
 from ..settings.reference import Blockers, Sampler
 from ..settings.reference import TracedReference as Settings
 from ._embree import EmbreeTracer
@@ -170,6 +171,34 @@ def sampling_of(light: AbstractLight, samples: int, sampler: str, seed: int) -> 
     return LightSampler(light.domain, samples, sampler, seed) if light.has_size else Centre()
 
 
+class _Traced(NamedTuple):
+    """The triangles of a scene, a tracer of all of them, and one of those that block shadow rays."""
+
+    triangles: Triangles
+    tracer: AbstractTracer
+    occluders: AbstractTracer
+
+
+# What was made for the last meshes, since the views of a fit share them. It is dropped with the first of these.
+_last: dict[tuple[Any, ...], tuple[list[weakref.ref[Mesh]], _Traced]] = {}
+
+
+def _traced(
+    make_tracer: Callable[[Triangles], AbstractTracer], scene: Scene, blocking: Bool[HostArray, " f"]
+) -> _Traced:
+    """The tracers of a scene, of which these faces are `blocking`."""
+    key = make_tracer, blocking.tobytes(), len(scene.meshes)
+    refs, kept = _last.get(key, ([], None))
+    if kept is not None and all(ref() is mesh for ref, mesh in zip(refs, scene.meshes, strict=True)):
+        return kept
+    triangles = Triangles(scene.mesh)
+    tracer = make_tracer(triangles)
+    kept = _Traced(triangles, tracer, tracer if blocking.all() else make_tracer(triangles.only(blocking)))
+    _last.clear()
+    _last[key] = [weakref.ref(mesh, lambda _: _last.clear()) for mesh in scene.meshes], kept
+    return kept
+
+
 class Job:
     """One image being traced. Images are flat arrays of pixels. If `sampling` is `None`, no shadow rays are traced.
 
@@ -184,13 +213,10 @@ class Job:
         blockers: Blockers = Settings.blockers,
     ):
         self.scene, self.sampling = scene, sampling
-        self.triangles = Triangles(scene.mesh)
+        blocking = blocking_faces(scene, "all" if sampling is None else blockers)
+        self.triangles, self.tracer, self.occluders = _traced(make_tracer, scene, blocking)
         self.rays = CameraRays(scene.camera, self.triangles)
         self.lamp = Lamp(scene.light, self.triangles)
-        self.tracer = self.occluders = make_tracer(self.triangles)
-        blocking = blocking_faces(scene, blockers)
-        if sampling is not None and not blocking.all():
-            self.occluders = make_tracer(self.triangles.only(blocking))
         self.reach = np.inf if self.lamp.is_directional else 1 - _SHORT_OF_LIGHT
         self.size = self.rays.height * self.rays.width
         self.position, self.normal = (np.zeros((self.size, 3), dtype=np.float32) for _ in range(2))

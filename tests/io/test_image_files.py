@@ -450,6 +450,16 @@ def test_pruning_removes_the_least_recently_used_and_nothing_else(tmp_path):
     assert {entry.name for entry in tmp_path.iterdir()} == {"mine.npz", f"{cache_key(0)}.npz"}
 
 
+def test_a_folder_is_pruned_once_enough_was_added(tmp_path, monkeypatch):
+    pruned = []
+    monkeypatch.setattr("diffshadow.io._cache.prune_cache", pruned.append)
+    monkeypatch.setattr("diffshadow.io._cache._BETWEEN", 20_000)
+    for i in range(12):
+        cached_arrays(i, Counted(a=np.full(1000, i)), tmp_path)
+    # With the first entry, and then with every third: each has 8 kB and a bit.
+    assert len(pruned) == 4
+
+
 def test_compiled_programs_are_pruned_by_the_day_of_their_last_use(tmp_path):
     program = lambda name: tmp_path / f"jit_draw-{name * 64}-cache"
     for i, name in enumerate("abc"):

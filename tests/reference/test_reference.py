@@ -1,6 +1,7 @@
 """The reference tracer against closed forms, a float64 tracer and its own noise estimate."""
 
 import dataclasses
+import gc
 import threading
 from types import SimpleNamespace
 
@@ -33,8 +34,9 @@ from diffshadow.reference import (
     trace_visibility,
     trace_visibility_exact,
 )
+from diffshadow.reference._embree import EmbreeTracer
 from diffshadow.reference._sampling import LightSampler
-from diffshadow.reference._visibility import Job
+from diffshadow.reference._visibility import Job, _last, trace_with
 
 
 def flat(vertices, faces):
@@ -483,6 +485,29 @@ def test_of_several_lights_each_is_traced_alone():
     for refuse in (trace_visibility, trace_visibility_exact, key_parts):
         with pytest.raises(ValueError, match=r"has 2 lights.*lit_by\(index\)"):
             refuse(both)
+
+
+def test_scenes_with_the_same_meshes_share_tracers_unless_other_meshes_cast():
+    made = []
+    tracer = lambda triangles: made.append(len(triangles.corners)) or EmbreeTracer(triangles)
+    trace = lambda scene, blockers="casters": trace_with(tracer, scene, 1, "sobol", 0, None, 1, blockers).visibility
+    card, floor = quad([0, 1, 0], [0.4, 0, 0], [0, 0, -0.4]), quad([0, 0, 0], [2, 0, 0], [0, 0, -2])
+    camera = OrthographicCamera((0, 3, 0.1), (0, 0, 0), height=4.0, far=10.0, resolution=(16, 16))
+    scene = Scene([card, floor], camera, DirectionalLight((0.3, -1, 0), (0, 0, 0), (4, 4), -5.0, 5.0))
+    first = trace(scene)
+    turned = dataclasses.replace(scene, lights=dataclasses.replace(scene.light, direction=jnp.array([-0.3, -1.0, 0.0])))
+    assert (trace(turned) != first).any()
+    assert made == [4]
+    without = dataclasses.replace(scene, casts=(False, True))
+    assert (trace(without) == 1).all()
+    assert made == [4, 4, 2]
+    np.testing.assert_array_equal(trace(without, "all"), first)
+    higher = dataclasses.replace(scene, meshes=(quad([0, 2, 0], [0.4, 0, 0], [0, 0, -0.4]), floor))
+    assert (trace(higher) != first).any()
+    # Nothing is kept of meshes that are gone.
+    del higher
+    gc.collect()
+    assert not _last
 
 
 def test_progress_rises_to_one_in_the_calling_thread(monkeypatch):

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 
+import jax
 import numpy as np
 import pytest
 from rich.console import Console
@@ -14,7 +15,11 @@ from scenes import free_port, staying_in
 from stored_runs import TINY
 
 from diffshadow import io, study
-from diffshadow.config import ConfigError, parse_config
+from diffshadow.config import ConfigError, build_fittable, parse_config
+from diffshadow.study.runs._progress import Stages
+from diffshadow.study.runs._setup import draw, load
+from diffshadow.study.runs._views import draw_views
+from diffshadow.study.runs._write_fit import _spaced
 
 VIEWS = [
     "fit.views={grid: {scene.light.azimuth: [-150, -30]}}",
@@ -125,6 +130,34 @@ def test_a_view_that_sees_nothing_is_named(tmp_path):
     with staying_in(tmp_path), pytest.raises(ConfigError, match=r"behind the camera.*\(in the view away\)"):
         study.run_fit(config, console=Console(quiet=True))
     assert not (tmp_path / "runs").exists()
+
+
+def test_views_share_meshes_and_what_a_camera_sees_and_are_drawn_as_alone():
+    cameras = ["{resolution: [64, 64], orbit: {distance: 3}}", "{resolution: [64, 64], orbit: {distance: 3.5}}"]
+    grid = f"{{scene.camera: [{', '.join(cameras)}], scene.light.azimuth: [-150, -30]}}"
+    config = parse_config(TINY, [f"fit.views={{grid: {grid}}}"], fitting=True)
+    stages, technique = Stages(Console(quiet=True)), build_fittable(config)
+    found = [view.drawn[0] for view in draw_views(config, load(config, stages), technique, stages).fitted]
+    near, other, far, last = found
+    assert near.surface is other.surface
+    assert far.surface is last.surface
+    assert len({id(mesh) for each in found for mesh in each.scene.meshes}) == 2
+    for view, drawn in zip(config.views, found, strict=True):
+        (alone,) = draw(view.config, load(view.config, stages), build_fittable(view.config), stages)
+        for one, own in ((drawn.surface, alone.surface), (drawn.state, alone.state), (drawn.scene, alone.scene)):
+            for array, expected in zip(jax.tree.leaves(one), jax.tree.leaves(own), strict=True):
+                np.testing.assert_array_equal(array, expected)
+        for name in ("visibility", "position", "normal", "face"):
+            np.testing.assert_array_equal(getattr(drawn.reference, name), getattr(alone.reference, name))
+    assert near.reference.position is other.reference.position
+
+
+def test_flip_of_many_views_is_of_some_from_all_over():
+    assert _spaced(0, 3) == [0, 1, 2]
+    assert _spaced(3, 3) == []
+    some = _spaced(0, 1000)
+    assert (some[0], some[-1], len(set(some))) == (0, 999, 32)
+    assert max(np.diff(some)) <= 33
 
 
 @pytest.mark.exhaustive

@@ -64,8 +64,10 @@ class FitPlan(NamedTuple):
     front: int
 
 
-def build_scene(config: Config) -> geometry.Scene:
+def build_scene(config: Config, staged: "StagedMeshes | None" = None) -> geometry.Scene:
     """The scene of `config`: its meshes, its camera and its lights, all counted from the scene's origin.
+
+    **Arguments:** `staged`: the meshes of `config`, if `build_meshes` has made them before.
 
     Warns with `io.MeshWarning` about contents of mesh files other than triangles.
 
@@ -79,7 +81,7 @@ def build_scene(config: Config) -> geometry.Scene:
         config.build_scene(settings).camera.resolution  # (32, 32)
         ```
     """
-    staged = build_meshes(config)
+    staged = build_meshes(config) if staged is None else staged
     return staged.scene(config, build_camera(config, staged), build_lights(config, staged))
 
 

@@ -2,13 +2,16 @@
 
 import math
 from collections.abc import Sequence
+from functools import partial
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from ..._arithmetic import as_int
+from ..._arithmetic import as_array, as_int
 from .._map import ShadowMap
 from ._padded_map import PaddedMap, pad
 
@@ -32,7 +35,12 @@ class Atlas(eqx.Module):
     @classmethod
     def of(cls, maps: Sequence[ShadowMap]) -> "Atlas":
         """Of maps without silhouettes whose depths have one shape."""
-        return cls(jnp.concatenate([_texels(each) for each in maps]), maps[0].depth.shape)
+        shape, dtype = maps[0].depth.shape, maps[0].depth.dtype
+        # One after another, so that there is never a second copy of all.
+        texels = as_array(np.zeros(cls.size(len(maps), shape), dtype))
+        for number, each in enumerate(maps):
+            texels = _with(texels, each, as_int(number))
+        return cls(texels, shape)
 
     @staticmethod
     def size(maps: int, shape: tuple[int, ...]) -> int:
@@ -53,6 +61,7 @@ class Atlas(eqx.Module):
         )
 
 
-@eqx.filter_jit
-def _texels(shadow_map: ShadowMap) -> Float[Array, " n"]:
-    return pad(shadow_map, _MARGIN).depth
+@partial(jax.jit, donate_argnums=0)
+def _with(texels: Float[Array, " n"], shadow_map: ShadowMap, number: Int[Array, ""]) -> Float[Array, " n"]:
+    own = pad(shadow_map, _MARGIN).depth
+    return lax.dynamic_update_slice(texels, own, (number * own.size,))

@@ -54,7 +54,7 @@ def check(config: Config, *, console: Console, preview: bool = False) -> Checked
     for suffix in (SUFFIX, "") if fits else (SUFFIX,):
         folder_of(config, suffix)
     with Stages(console) as stages:
-        scene, remarks = load(config, stages)
+        scene, remarks, _ = load(config, stages)
         technique = build_technique(config, fitting=False)
         if fits:
             plan_fit(config, scene)

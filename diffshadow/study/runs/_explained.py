@@ -169,8 +169,8 @@ def fitted_images(
     and the fit's `result`, if it may have moved lights or meshes.
     """
     found, arrangement = [], None if result is None else result.arrangement
-    for i, (each, image, left) in enumerate(zip(drawn[: views.seen], after, seen, strict=False)):
-        config = views.all[views.of(i)].config
+    configs = [view.config for view in views.fitted for _ in view.drawn]
+    for i, (config, each, image, left) in enumerate(zip(configs, drawn, after, seen, strict=False)):
         given = config is not None and config.reference.type == "image"
         one = Fitted(each, image, None, given)
         if result is not None and arrangement is not None:

@@ -15,6 +15,8 @@ from ...config import (
     Config,
     ConfigError,
     Mistake,
+    StagedMeshes,
+    build_meshes,
     build_scene,
     build_shading,
 )
@@ -45,14 +47,26 @@ class SeenScene(NamedTuple):
 
 
 class Loaded(NamedTuple):
-    """The scene of a configuration, and a sentence for each mesh file that was not read completely."""
+    """The scene of a configuration, and a sentence for each mesh file that was not read completely.
+
+    - `staged`: its meshes; none of a scene that was made in another way.
+    """
 
     scene: geometry.Scene
     remarks: tuple[str, ...] = ()
+    staged: StagedMeshes | None = None
 
 
-def see(config: Config, scene: geometry.Scene, technique: shadow.AbstractTechnique, stages: Stages) -> SeenScene:
+def see(
+    config: Config,
+    scene: geometry.Scene,
+    technique: shadow.AbstractTechnique,
+    stages: Stages,
+    surface: raster.Surface | None = None,
+) -> SeenScene:
     """Reads the reference's image, if there is one, and draws the scene as camera and lights see it.
+
+    **Arguments:** `surface`: what the camera sees, if it has been drawn.
 
     **Raises** `ConfigError` if the image does not match the camera, or no pixel counts.
     """
@@ -64,9 +78,10 @@ def see(config: Config, scene: geometry.Scene, technique: shadow.AbstractTechniq
     lit = [scene.lit_by(i) for i in range(len(scene.lights))]
     keys: list[tuple[str | int, ...]] = [("scene", *key) for key in config.scene.each_light]
     with stages.stage("drawing"):
-        has_maps = isinstance(technique, shadow.ShadowMapping)
-        buffer = technique.layers.buffer(scene.camera.resolution) if has_maps else None
-        surface = raster.draw_surface(scene.mesh, scene.camera, buffer=buffer)
+        if surface is None:
+            has_maps = isinstance(technique, shadow.ShadowMapping)
+            buffer = technique.layers.buffer(scene.camera.resolution) if has_maps else None
+            surface = raster.draw_surface(scene.mesh, scene.camera, buffer=buffer)
         states = [_prepared(config, technique, each, surface) for each in lit]
         covered = [np.asarray(technique.covered(state, surface)) for state in states]
     blind = blind_camera(config, scene, surface)
@@ -96,17 +111,24 @@ def check_comparable(config: Config, seen: SeenScene, stages: Stages) -> None:
 
 
 def draw(
-    config: Config, loaded: Loaded, technique: shadow.AbstractTechnique, stages: Stages, *, comparing: bool = False
+    config: Config,
+    loaded: Loaded,
+    technique: shadow.AbstractTechnique,
+    stages: Stages,
+    *,
+    surface: raster.Surface | None = None,
+    comparing: bool = False,
 ) -> list[Drawn]:
     """Draws the scene and finds its reference, for each light. Most errors are raised before rays are traced.
 
     **Arguments:**
 
+    - `surface`: what the camera sees, if it has been drawn.
     - `comparing`: whether a scene without light is a mistake.
 
     **Raises** `ConfigError` if no pixel counts, or the reference does not match the scene.
     """
-    seen = see(config, loaded.scene, technique, stages)
+    seen = see(config, loaded.scene, technique, stages, surface)
     if comparing:
         check_comparable(config, seen, stages)
     with stages.stage("tracing reference"):
@@ -133,12 +155,17 @@ def _prepared(
         raise _error(config, ("technique",), str(error)) from error
 
 
-def load(config: Config, stages: Stages) -> Loaded:
-    """The scene of `config`. Each `io.FileWarning` becomes a remark."""
-    remarks: list[str] = []
+def load(config: Config, stages: Stages, like: Loaded | None = None) -> Loaded:
+    """The scene of `config`. Each `io.FileWarning` becomes a remark.
+
+    **Arguments:** `like`: what was loaded for a configuration with the same meshes.
+    """
+    remarks = [] if like is None else list(like.remarks)
     with stages.stage("loading"), _warnings_to(remarks):
-        scene = build_scene(config)
-    return Loaded(scene, tuple(remarks))
+        staged = None if like is None else like.staged
+        staged = build_meshes(config) if staged is None else staged
+        scene = build_scene(config, staged)
+    return Loaded(scene, tuple(remarks), staged)
 
 
 @contextlib.contextmanager

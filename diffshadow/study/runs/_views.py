@@ -12,6 +12,9 @@ from ..remarks._scene import scene_remarks
 from ._progress import Stages
 from ._setup import Loaded, draw, load
 
+# The sections that what is loaded depends on.
+_MESHES = ("meshes",)
+
 
 class DrawnView(NamedTuple):
     """A view, drawn.
@@ -85,31 +88,49 @@ def draw_views(config: Config, loaded: Loaded, technique: shadow.AbstractTechniq
     **Raises** `ConfigError` as `draw` does, for the first view that has a fault.
     """
     own = lambda: [DrawnView("", config, technique, draw(config, loaded, technique, stages, comparing=True))]
-    fitted = _drawn_in_turn("view", config.views, stages) or own()
+    fitted = _drawn_in_turn("view", config.views, config, technique, stages) or own()
     if not any(each.reference.visibility[each.mask].any() for view in fitted for each in view.drawn):
         what = "are dark in all pixels that count, so that there is nothing to compare; expected some in light"
         path = ("fit", "views")
         raise ConfigError([Mistake(config.origin.place(path), ".".join(path), f"{what}; change their lights")])
-    return Views(fitted, _drawn_in_turn("view of validation", config.validation, stages))
+    return Views(fitted, _drawn_in_turn("view of validation", config.validation, config, technique, stages))
 
 
-def _drawn_in_turn(what: str, views: Sequence[FitView], stages: Stages) -> list[DrawnView]:
-    """Draws `views`, and shows how many there are."""
-    found = []
+class _Kept(NamedTuple):
+    """What views have in common, by the sections that it depends on, as JSON: their meshes, and what cameras see."""
+
+    loaded: dict[str, Loaded]
+    seen: dict[str, Drawn]
+
+
+def _drawn_in_turn(
+    what: str, views: Sequence[FitView], config: Config, technique: shadow.AbstractTechnique, stages: Stages
+) -> list[DrawnView]:
+    """Draws `views` of a fit of `config`, and shows how many there are."""
+    found, kept = [], _Kept({}, {})
     for number, view in enumerate(views, start=1):
         stages.part = f"{what} {number:,} of {len(views):,}"
-        found.append(_drawn(view.name, view.config, stages))
+        is_alike = view.config.shadow_map == config.shadow_map
+        found.append(_drawn(view, technique if is_alike else None, kept, stages))
     stages.part = ""
     return found
 
 
-def _drawn(name: str, config: Config, stages: Stages) -> DrawnView:
+def _drawn(view: FitView, technique: shadow.AbstractTechnique | None, kept: _Kept, stages: Stages) -> DrawnView:
+    name, config = view
+    meshes, sight = (config.scene.model_dump_json(include=set(parts)) for parts in (_MESHES, (*_MESHES, "camera")))
     try:
-        loaded = load(config, stages)
-        technique = build_technique(config)
-        drawn = draw(config, loaded, technique, stages)
+        loaded = load(config, stages, kept.loaded.get(meshes))
+        technique = build_technique(config) if technique is None else technique
+        like = kept.seen.get(sight)
+        drawn = draw(config, loaded, technique, stages, surface=None if like is None else like.surface)
     except ConfigError as error:
         named = [dataclasses.replace(each, message=f"{each.message} (in the view {name})") for each in error.mistakes]
         raise ConfigError(named) from error
+    kept.loaded[meshes] = loaded
+    like = kept.seen.setdefault(sight, drawn[0])
+    # Rays through pixels' centres see the same, whatever the light. Many views would not fit into memory otherwise.
+    seen = {name: getattr(like.reference, name) for name in ("position", "normal", "face")}
+    drawn = [each._replace(reference=dataclasses.replace(each.reference, **seen)) for each in drawn]
     key = lambda each: name if len(drawn) == 1 else f"{name}, {each.key}"
     return DrawnView(name, config, technique, [each._replace(key=key(each)) for each in drawn])

@@ -16,6 +16,9 @@ from ._fitted import FittedRun
 from ._shade import Pictures, perceptual_error, shade
 from ._views import DrawnView
 
+# ꟻLIP takes far longer than all other errors of a view. Of more views, it is of so many, evenly spaced among them.
+_MAX_PERCEIVED = 32
+
 
 def write_fit(folder: Path, fitted: FittedRun, seconds: dict[str, float]) -> dict[str, Any]:
     """Writes the run's folder; `seconds` are the times of its stages. **Returns** the metrics of its result."""
@@ -26,25 +29,36 @@ def write_fit(folder: Path, fitted: FittedRun, seconds: dict[str, float]) -> dic
 
 
 def _shaded(fitted: FittedRun) -> list[Pictures]:
-    """The shaded pictures of each view by the names of their arrays; none where the scene is not known."""
+    """The shaded pictures of views by the names of their arrays: of the worst, and of those whose ꟻLIP is measured. Of
+    the others there is none, nor where the scene is not known."""
+    views = fitted.views
     if not fitted.has_pictures:
-        return [{} for _ in fitted.views.all]
+        return [{} for _ in views.all]
+    chosen = {views.of(fitted.shown[0]), *_spaced(0, len(views.fitted)), *_spaced(len(views.fitted), len(views.all))}
     (before, after), truth = fitted.seen, [each.reference.visibility for each in fitted.drawn]
     states = [("reference", fitted.drawn, truth), ("before", before, fitted.before), ("after", after, fitted.after)]
     return [
         {f"shaded_{name}": to_bytes(shade(view.config, seen[part], images[part])) for name, seen, images in states}
-        for view, part in fitted.views.parts
+        if i in chosen
+        else {}
+        for i, (view, part) in enumerate(views.parts)
     ]
+
+
+def _spaced(start: int, end: int) -> list[int]:
+    """Whole numbers from `start` up to `end`, evenly spaced: all of them, or as many as ꟻLIP is measured of."""
+    count = min(end - start, _MAX_PERCEIVED)
+    return np.linspace(start, end - 1, count).round().astype(int).tolist()
 
 
 def _with_flip(
     errors: dict[str, dict[str, float]], views: Sequence[DrawnView], shaded: Sequence[Pictures]
 ) -> dict[str, dict[str, float | None]]:
-    """`errors` of the states of `views`, with the mean of ꟻLIP; this is `None` without the package for it."""
+    """`errors` of the states of `views`, with the mean of ꟻLIP over spaced ones; `None` without its package."""
 
     def flip(state: str) -> float | None:
         name, truth = f"shaded_{state}", "shaded_reference"
-        pictured = [(view, each) for view, each in zip(views, shaded, strict=True) if each]
+        pictured = [(views[i], shaded[i]) for i in _spaced(0, len(views)) if shaded[i]]
         found = (perceptual_error(each[name], each[truth], view.drawn) for view, each in pictured)
         known = [error for error in found if error is not None]
         return float(np.mean(known)) if known else None
