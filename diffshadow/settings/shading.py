@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any, Literal
 
-from ._settings import Limits, Settings
+from ._settings import Form, Limits, Settings
 from .quantities import MAX_FACTOR, Factor, Fraction, Radiance
 
 Highlight = Literal["blinn_phong", "phong"]
@@ -32,6 +32,11 @@ class Lit(Shading):
     ambient: Annotated[Radiance, "ambient light, which casts no shadows"] = (0.3, 0.3, 0.3)
     intensity: Annotated[
         Radiance | None, f"intensity of each light; default: {INTENSITY}, divided among the lights"
+    ] = None
+    intensities: Annotated[
+        tuple[Radiance, ...] | None,
+        Form("a list with one intensity for each light", "[0.5, [0.2, 0.2, 0.1]]"),
+        "intensities of the lights, one by one, instead of intensity",
     ] = None
     specular: Annotated[Factor, "specular reflectance"] = 0.15
     shininess: Annotated[float, Limits(0, MAX_FACTOR, above_low=True), "specular exponent"] = 32.0

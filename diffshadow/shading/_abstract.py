@@ -33,6 +33,10 @@ class AbstractShading(CheckedModule):
         **Raises** `ValueError` unless there are as many visibilities as lights.
         """
 
+    def of_light(self, index: int) -> "AbstractShading":
+        """The shading of the scene with only one of its lights, number `index`."""
+        return self
+
     def antialiased(
         self, seen: AntialiasedSurface, visibility: Visibilities, light: Lights, camera: AbstractCamera
     ) -> Float[Array, "y x 3"]:

@@ -33,3 +33,8 @@ def as_colour(value: Any) -> Any:
     if np.ndim(value) == 0 and not isinstance(value, str):
         return Colour(value, value, value)
     return Colour(*value) if np.shape(value) == (3,) else value
+
+
+def as_colours(value: Any) -> Any:
+    """A tuple of `Colour`s of a list of what `as_colour` takes; anything else as it is."""
+    return tuple(map(as_colour, value)) if isinstance(value, tuple | list) else value

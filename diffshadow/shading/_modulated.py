@@ -1,5 +1,6 @@
 """Shadow that darkens the lit image, as in the fixed-function pipeline of OpenGL 1.4."""
 
+import dataclasses
 from typing import ClassVar
 
 import equinox as eqx
@@ -46,3 +47,7 @@ class ModulatedShadow(AbstractShading):
             weight = self.factor + (1 - self.factor) * seen
             image = image * jnp.where(surface.mask, weight, 1)[..., None]
         return image
+
+    def of_light(self, index: int) -> "ModulatedShadow":
+        """The shading of the scene with only one of its lights, number `index`."""
+        return dataclasses.replace(self, lit=self.lit.of_light(index))

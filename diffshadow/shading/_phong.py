@@ -7,6 +7,7 @@ with the sum over the lights. Shadow removes the light's own contribution, and n
 linear.
 """
 
+import dataclasses
 from typing import ClassVar
 
 import equinox as eqx
@@ -21,7 +22,7 @@ from ..raster import Surface
 from ..settings import shading
 from ..settings.shading import INTENSITY, Highlight
 from ._abstract import AbstractShading, Lights, Visibilities, each_light
-from ._colour import Colour, as_colour
+from ._colour import Colour, as_colour, as_colours
 
 
 class Attenuation(CheckedModule):
@@ -46,7 +47,7 @@ class Phong(AbstractShading):
 
     - `ambient`: light from all directions that nothing shadows; added once, whatever the number of lights.
     - `intensity`: of each light: the colour of a white diffuse surface that faces the light. With several lights,
-        divide it by their number to keep the brightness.
+        divide it by their number to keep the brightness. `intensities`: of the lights one by one, in place of it.
     - `specular`: fraction of the light that the highlight reflects; `shininess`: its exponent.
     - `background`: colour of pixels without a surface.
     - `attenuation`: with the distance to a light that is not directional.
@@ -61,6 +62,7 @@ class Phong(AbstractShading):
 
     ambient: Colour = eqx.field(converter=as_colour, default=shading.Phong.ambient)
     intensity: Colour = eqx.field(converter=as_colour, default=INTENSITY)
+    intensities: tuple[Colour, ...] | None = eqx.field(converter=as_colours, default=shading.Phong.intensities)
     specular: AsScalar = eqx.field(converter=as_number, default=shading.Phong.specular)
     shininess: AsScalar = eqx.field(converter=as_number, default=shading.Phong.shininess)
     background: Colour = eqx.field(converter=as_colour, default=shading.Phong.background)
@@ -68,15 +70,29 @@ class Phong(AbstractShading):
     model: Highlight = eqx.field(static=True, default=shading.Phong.model)
 
     def __call__(self, surface: Surface, visibility: Visibilities, light: Lights, camera: AbstractCamera) -> VectorMap:
-        """The image of `surface`; arguments, result and errors are as for `AbstractShading`."""
-        to_camera = _towards_camera(surface, camera)
+        """The image of `surface`; arguments, result and errors are as for `AbstractShading`.
+
+        **Raises** `ValueError` too unless there are as many `intensities` as lights, if there are any.
+        """
+        to_camera, pairs = _towards_camera(surface, camera), each_light(visibility, light)
+        intensities = (self.intensity,) * len(pairs) if self.intensities is None else self.intensities
+        if len(intensities) != len(pairs):
+            raise ValueError(
+                f"Phong.intensities has {len(intensities)} entries for {len(pairs)} lights; expected one for each light"
+            )
         image = surface.albedo * self.ambient.array
-        for seen, each in each_light(visibility, light):
-            image = image + seen[..., None] * self._reflected(surface, each, to_camera)
+        for (seen, each), intensity in zip(pairs, intensities, strict=True):
+            image = image + seen[..., None] * intensity.array * self._reflected(surface, each, to_camera)
         return jnp.where(surface.mask[..., None], image, self.background.array)
 
+    def of_light(self, index: int) -> "Phong":
+        """The shading of the scene with only this one of its lights."""
+        if self.intensities is None:
+            return self
+        return dataclasses.replace(self, intensity=self.intensities[index], intensities=None)
+
     def _reflected(self, surface: Surface, light: AbstractLight, to_camera: VectorMap) -> VectorMap:
-        """Diffuse and specular reflection of an unshadowed light."""
+        """Diffuse and specular reflection of an unshadowed light of intensity 1."""
         path = light.towards(surface.position)
         to_light = normalize(path)
         normal = surface.shading_normal
@@ -84,7 +100,7 @@ class Phong(AbstractShading):
         highlight = self._highlight(normal, to_light, to_camera)[..., None]
         # A surface that faces away from the light has no highlight either.
         reflected = surface.albedo * cosine + self.specular * jnp.where(cosine > 0, highlight, 0)
-        return self._fall_off(path, surface, light)[..., None] * self.intensity.array * reflected
+        return self._fall_off(path, surface, light)[..., None] * reflected
 
     def _highlight(self, normal: VectorMap, to_light: VectorMap, to_camera: VectorMap) -> Float[Array, "h w"]:
         if self.model == "blinn_phong":

@@ -180,8 +180,8 @@ class Frame:
         camera = geometry.MatrixCamera(view.world_to_eye, clip, self.size, view.is_perspective)
         surface = self.stages.surface((self._meshes, key, self.size), lambda: self._drawn_by(camera))
         visibility = self.technique.visibility(self.state(self.light), surface)
-        light = [self.lights[self.light]]
-        return np.asarray(_shaded(self.shading, surface, [visibility], light, camera))
+        light, shading = [self.lights[self.light]], self.shading.of_light(self.light)
+        return np.asarray(_shaded(shading, surface, [visibility], light, camera))
 
     def _camera_of(self, size: tuple[int, int]) -> geometry.AbstractCamera:
         scene = changed(self.config.scene, camera=changed(self.config.scene.camera, resolution=size))

@@ -86,6 +86,7 @@ FITTING: dict[str, Any] = {
     "up": [0.0, 0.5, 1.0],
     "casts": False,
     "eye": [0.5, 1.0, 4.0],
+    "intensities": [[0.5, 0.25, 0.125]],
 }
 # What is derived from other fields.
 FOLLOWS = ("max_radius", "max_blur", "max_share", "count", "view", "target")

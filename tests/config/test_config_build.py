@@ -576,6 +576,22 @@ def test_shading_is_that_of_the_config():
     assert np.allclose(modulated.lit.intensity, 0.35)
     coloured = build_shading(parse_config(TINY, ["shading.intensity=[1, 0.5, 0]"]))
     assert np.allclose(coloured.intensity, [1, 0.5, 0])
+    each = build_shading(parse_config(TINY, ["shading.intensities=[0.5, [0.3, 0.2, 0.1]]", *lights]))
+    assert np.allclose([np.asarray(own) for own in each.intensities], [[0.5] * 3, [0.3, 0.2, 0.1]])
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ("{intensities: [0.5, 1, 1]}", "shading.intensities: has 3 entries, and the scene has 1 light; expected one"),
+        ("{intensities: [0.5], intensity: 1}", "shading.intensity: is given together with intensities"),
+        ("{intensities: [-1]}", "shading.intensities.0.0: is -1"),
+    ],
+)
+def test_intensities_that_lights_cannot_have_are_reported(given, words):
+    with pytest.raises(ConfigError) as caught:
+        parse_config(TINY, [f"shading={given}"])
+    assert words in str(caught.value)
 
 
 def test_cascades_extend_as_far_as_the_filter_may_read():

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import quad, sun
+from scenes import lamp, quad, sun
 
 from diffshadow import fit, geometry, raster, reference, shading, shadow
 from diffshadow.fit._precision import precision_of
@@ -176,3 +176,65 @@ def test_a_fit_finds_camera_sun_and_colour_of_a_traced_picture():
     assert found.precision is not None
     assert all(0 < deviation < 0.3 for deviation in found.precision.deviations.values())
     assert found.arrangement.placed(SCENE).camera.resolution == (64, 64)
+
+
+TWO = dataclasses.replace(SCENE, lights=[SCENE.light, lamp(SCENE.mesh, (-1.2, 2.5, 1.5))])
+EACH = shading.Phong(intensities=[(0.5, 0.45, 0.4), (0.3, 0.35, 0.5)], specular=0.0)
+OF_LIGHTS = tuple(f"shading.intensities.{i}.{channel}" for i in range(2) for channel in ("red", "green", "blue"))
+
+
+@pytest.fixture(scope="module")
+def two_lights():
+    """The problem of a scene under a sun and a spot light, with its picture by rays. Nothing moves."""
+    truth = fit.Arrangement.of_picture(TECHNIQUE, TWO, EACH, 0.0)
+    surface = raster.draw_antialiased(TWO.mesh, CAMERA)
+    return fit.PictureProblem.of(TWO, TECHNIQUE, traced_under_all(truth), arrangement=truth, surface=surface)
+
+
+def traced_under_all(arrangement, rays=4):
+    fine = dataclasses.replace(CAMERA, resolution=(rays * 64, rays * 64))
+    scene = dataclasses.replace(TWO, camera=fine)
+    seen = raster.draw_surface(scene.mesh, fine)
+    visibility = [reference.trace_visibility(scene.lit_by(i), samples=1).visibility for i in range(2)]
+    image = np.asarray(arrangement.shading(seen, jnp.asarray(np.stack(visibility)), scene.lights, fine))
+    return image.reshape(64, rays, 64, rays, 3).mean(axis=(1, 3))
+
+
+@pytest.mark.exhaustive
+def test_derivatives_by_intensities_match_differences_of_traced_pictures(two_lights):
+    """Pictures are linear in these, so that differences have no error of their own."""
+    given = two_lights.planned()
+    values = jnp.asarray([start(given.arrangement, path) for path in OF_LIGHTS])
+
+    @jax.jit
+    def pushed(values, way):
+        at = lambda values: given.difference(fit.with_values(given.arrangement, OF_LIGHTS, values))
+        return jax.jvp(at, (values,), (way,))
+
+    for number, path in enumerate(OF_LIGHTS):
+        step = 0.1 * jnp.zeros(len(OF_LIGHTS)).at[number].set(1.0)
+        found = np.asarray(pushed(values, step)[1])
+        own = np.asarray(pushed(values + step, step)[0] - pushed(values - step, step)[0]) / 2
+        np.testing.assert_allclose(found, own, atol=1e-6)
+        ends = [traced_under_all(fit.with_values(given.arrangement, OF_LIGHTS, values + by)) for by in (step, -step)]
+        truth = np.sum(ends[0] - ends[1], axis=(0, 1)) / 2
+        np.testing.assert_allclose(found.sum(axis=(1, 2)), truth, rtol=0.005, atol=1e-4, err_msg=path)
+
+
+@pytest.mark.exhaustive
+def test_a_fit_finds_the_intensity_of_each_light(two_lights):
+    parameters = [fit.Parameter(path, 0.2 if ".1." in path else 0.7, 0.0, 1.0, "") for path in OF_LIGHTS]
+    found = fit.fit(two_lights, parameters)
+    for path in OF_LIGHTS:
+        assert found.fitted[path] == pytest.approx(start(two_lights.arrangement, path), rel=0.01), path
+    assert found.precision is not None
+    assert found.precision.undetermined == []
+
+
+@pytest.mark.exhaustive
+def test_a_scale_that_colours_and_lights_have_in_common_is_reported(two_lights):
+    free = ["shading.ambient.red", *(f"meshes.{i}.albedo.red" for i in range(2)), *OF_LIGHTS[::3]]
+    parameters = [fit.Parameter(path, start(two_lights.arrangement, path), 0.01, 1.0, "") for path in free]
+    found = fit.fit(dataclasses.replace(two_lights, surface=None), parameters)
+    assert found.precision is not None
+    assert found.precision.undetermined == [tuple(free)]

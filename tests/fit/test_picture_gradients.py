@@ -46,8 +46,8 @@ CASTERS = {
     "two boxes that cross": geometry.merge([BOX, placed("box", 0.8, (0.55, 0.5, 0.4), (1, 0.4, 0.2), 0.7)]),
 }
 
-# The median and the most of the relative errors. Single pixels beside outlines take the wrong face (torus), and a ball
-# that turns hardly changes its picture.
+# The median and the most of the relative errors. Beside smooth outlines, single centres stand for too much (torus), and
+# a ball that turns hardly changes its picture.
 LIMITS = {
     "a box in the air": (0.04, 0.13),
     "a torus in the air": (0.16, 0.45),

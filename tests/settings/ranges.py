@@ -8,7 +8,7 @@ import inspect
 import json
 import sys
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -68,7 +68,10 @@ def beyond(setting: Setting, rng: np.random.Generator) -> Iterator[Any]:
     elif setting.kind is bool:
         yield from ("yes", 2)
     elif setting.form is not None:
-        yield from ("x", (float("nan"),) * 3, (1.0,) * 40)
+        yield from ("x", (float("nan"),) * 3)
+        # Some lists have no greatest length, such as one for each light.
+        if get_args(setting.kind)[-1:] != (Ellipsis,) or setting.lengths.max_length is not None:
+            yield (1.0,) * 40
     else:
         limits = setting.limits
         # At least what single precision resolves.

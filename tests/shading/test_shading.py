@@ -1,5 +1,6 @@
 """Shading against values worked out by hand."""
 
+import dataclasses
 import itertools
 import math
 
@@ -138,6 +139,20 @@ def test_several_lights_add_up_and_ambient_counts_once():
     expected = ambient + sum(alone - ambient for alone in each)
     np.testing.assert_allclose(np.asarray(phong(at, shares, lights, eye))[0, 0], expected, rtol=1e-5)
     np.testing.assert_allclose(np.asarray(phong(at, jnp.stack(shares), lights, eye))[0, 0], expected, rtol=1e-5)
+
+
+def test_each_light_has_its_own_intensity():
+    alone, own, eye = Phong(ambient=0), (0.4, (0.1, 0.2, 0.3)), camera((1.0, 2.0, 0.0))
+    lights, full = [sun((0.5, -1.0, 0.0)), spot(3.0)], jnp.ones((2, 1, 1))
+    several = Phong(ambient=0, intensities=own)
+    pairs = zip(own, lights, strict=True)
+    each = [pixel(dataclasses.replace(alone, intensity=i), surface(), light, eye=eye) for i, light in pairs]
+    np.testing.assert_allclose(np.asarray(several(surface(), full, lights, eye))[0, 0], sum(each), rtol=1e-5)
+    for shading in (several, ModulatedShadow(several)):
+        seen = pixel(shading.of_light(1), surface(), lights[1], eye=eye)
+        np.testing.assert_allclose(seen, each[1], rtol=1e-6)
+    with pytest.raises(ValueError, match="intensities has 2 entries for 1 lights; expected one for each light"):
+        several(surface(), full[:1], lights[:1], eye)
 
 
 @pytest.mark.parametrize("shading", [Phong(), ModulatedShadow()])

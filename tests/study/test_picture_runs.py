@@ -72,6 +72,43 @@ def test_modulated_shading_has_its_numbers_too():
     assert build_fit(given).parameters[0].where == "shading.lit.ambient.red"
 
 
+TWO = ["scene.light=null", "scene.lights=[{azimuth: 60, elevation: 55}, {type: point, position: [0, 3, 1]}]"]
+
+
+@pytest.mark.parametrize("shading", ["{}", "{type: modulated}", "{intensities: [[0.6, 0.5, 0.4], 0.3]}"])
+def test_each_light_has_an_intensity_to_fit(shading):
+    bounds = "{lower: 0, upper: 1}"
+    named = f"shading.intensities.0.red: {bounds}, shading.intensities.1.blue: {bounds}"
+    plan = build_fit(config(*TWO, f"shading={shading}", f"fit.parameters={{{named}}}"))
+    expected = [0.6, 0.3] if "intensities" in shading else [0.35, 0.35]
+    assert [p.initial for p in plan.parameters] == pytest.approx(expected)
+    found = [float(fit.resolve(plan.arrangement, p.where)) for p in plan.parameters]
+    assert found == pytest.approx(expected)
+    assert set(plan.truth) == {"shading.intensities.0.red", "shading.intensities.1.blue"}
+
+
+OF_ALL = (
+    "shading.intensity.red: has no effect, since shading.intensities take its place; expected shading.intensities.0.red"
+)
+
+
+@pytest.mark.parametrize(
+    ("names", "overrides", "said"),
+    [
+        (["shading.intensities.2.red"], [], "is of light 2, and the scene has 2 lights; expected a light from 0 to 1"),
+        (["scene.lights.5.azimuth"], [], "is of light 5, and the scene has 2 lights; expected a light from 0 to 1"),
+        (["shading.intensities.1.rad"], [], "cannot be fitted in this scene"),
+        (["shading.intensity.red"], ["shading.intensities=[0.5, 0.2]"], OF_ALL),
+        (["shading.intensity.red", "shading.intensities.1.green"], [], OF_ALL),
+    ],
+)
+def test_intensities_of_lights_that_are_not_there_are_reported(names, overrides, said):
+    parameters = ", ".join(f"{name}: {{lower: 0, upper: 1}}" for name in names)
+    message = mistakes(*TWO, f"fit.parameters={{{parameters}}}", *overrides)
+    assert said in message
+    assert len(message.splitlines()) == 1
+
+
 @pytest.mark.parametrize(
     ("overrides", "said"),
     [

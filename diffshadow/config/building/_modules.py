@@ -21,7 +21,7 @@ from ..reading._dump import fit_units
 from ..reading._mistakes import mistakes_at
 from ..sections._fit import FitParameterConfig
 from ..sections._fitted import fit_paths, is_searched
-from ..sections._poses import is_pose, pose_of
+from ..sections._poses import fits_each_intensity, is_pose, pose_of
 from ..whole._preferences import preferences
 from ..whole._schema import Config
 from ._scene import Stage, camera_on, light_on, stage_of
@@ -207,12 +207,16 @@ def build_shading(config: Config) -> shading.AbstractShading:
 
     **Raises** `ConfigError` if it cannot be made.
     """
-    section = config.shading
-    default = INTENSITY / len(config.scene.each_light)
+    section, lights = config.shading, len(config.scene.each_light)
+    intensity = INTENSITY / lights if section.intensity is None else section.intensity
+    intensities = section.intensities
+    if intensities is None and fits_each_intensity(config):
+        intensities = (intensity,) * lights
     with _blame(config, ("shading",)):
         phong = shading.Phong(
             ambient=section.ambient,
-            intensity=default if section.intensity is None else section.intensity,
+            intensity=intensity,
+            intensities=intensities,
             specular=section.specular,
             shininess=section.shininess,
             background=section.background,

@@ -30,6 +30,7 @@ _OF_CAMERAS = {
     "orthographic": {**_vector("eye", Coordinate), **_vector("turn", Turn), "height": Setting.of(Distance)},
 }
 _ALBEDO = _colour("albedo", Fraction)
+_EACH_INTENSITY = "shading.intensities."
 _LIT = {
     **{key: kind for name in ("ambient", "intensity", "background") for key, kind in _colour(name, Factor).items()},
     **{key: shading.Lit.each()[key] for key in ("specular", "shininess")},
@@ -96,10 +97,22 @@ def _of_pictures(data: Any) -> dict[str, Pose]:
     for i in range(_count(data, "meshes")):
         found |= {f"scene.meshes.{i}.{name}": Pose(f"meshes.{i}.{name}", kind) for name, kind in _ALBEDO.items()}
     shaded = str(value_at(data, "shading", "type", default="phong"))
-    for name, kind in _OF_SHADINGS.get(shaded, {}).items():
+    kinds = {**_OF_SHADINGS.get(shaded, {})}
+    one_by_one = value_at(data, "shading", "intensities") is not None
+    if one_by_one or fits_each_intensity(data):
+        kinds = {name: kind for name, kind in kinds.items() if not name.startswith("intensity.")}
+    if one_by_one or len(_lights(data)) > 1:
+        for i in range(len(_lights(data))):
+            kinds |= _colour(f"intensities.{i}", Factor)
+    for name, kind in kinds.items():
         holder = "shading.lit" if shaded == "modulated" and name != "factor" else "shading"
         found[f"shading.{name}"] = Pose(f"{holder}.{name}", kind)
     return {**found, _EXPOSURE: Pose("exposure", PictureReference.each()["exposure"])}
+
+
+def fits_each_intensity(data: Any) -> bool:
+    """Whether intensities of lights are fitted one by one."""
+    return any(str(name).startswith(_EACH_INTENSITY) for name in value_at(data, "fit", "parameters", default={}))
 
 
 def pose_of(data: Any, name: str) -> Pose | None:
@@ -133,6 +146,8 @@ def _needs_picture(name: str) -> bool:
             return ".".join(key) in _ALBEDO
         case ["scene", "camera", *key]:
             return any(".".join(key) in keys for keys in _OF_CAMERAS.values())
+        case ["shading", "intensities", index, channel] if is_index(index):
+            return channel in _CHANNELS
         case ["shading", *key]:
             return any(".".join(key) in keys for keys in _OF_SHADINGS.values())
     return name == _EXPOSURE
@@ -146,6 +161,14 @@ def pose_faults(data: Any, name: str) -> Iterator[PydanticCustomError]:
             mend = "set reference.type to picture, or remove the parameter"
             yield fault("cannot be fitted to visibility, which does not show it", "a fit to a picture", mend)
             return
+        if (missing := _missing_light(data, name)) is not None:
+            yield missing
+            return
+        if name.startswith("shading.intensity.") and _needs_picture(name):
+            mend = "name one of these, or remove all shading.intensities"
+            expected = f"{_EACH_INTENSITY}0.{name.rpartition('.')[2]}, and so on"
+            yield fault("has no effect, since shading.intensities take its place", expected, mend)
+            return
         known = [*poses(data), "scene.meshes.0.vertices.0.x"]
         yield fault("cannot be fitted in this scene", listing(known), did_you_mean(name, known, "name one of these"))
         return
@@ -154,6 +177,18 @@ def pose_faults(data: Any, name: str) -> Iterator[PydanticCustomError]:
     if value_at(data, "filter", "type") != "pcss" or value_at(data, "filter", "light_size") is not None:
         message = "cannot be fitted with a filter that does not use the light's size"
         yield fault(message, "filter type pcss without a light_size", "change the filter, or remove the parameter")
+
+
+def _missing_light(data: Any, name: str) -> PydanticCustomError | None:
+    """A fault if `name` is of a light that the scene does not have."""
+    match name.split("."):
+        case ["scene", "lights", index, *_] | ["shading", "intensities", index, *_] if is_index(index):
+            count = len(_lights(data))
+            if int(index) >= count:
+                has = f"is of light {int(index)}, and the scene has {count} light{'' if count == 1 else 's'}"
+                expected = "light 0" if count == 1 else f"a light from 0 to {count - 1}"
+                return fault(has, expected, "change its number")
+    return None
 
 
 def _lights(data: Any) -> list[tuple[str, Any]]:

@@ -1,11 +1,12 @@
 """Sections of the shading. Shaded images are for viewing only: no metric uses them."""
 
-from typing import Annotated
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any
 
 from pydantic import Field
 
 from ...settings import shading
-from ._section import Section, Variants
+from ._section import Conflict, Section, Variants, exclusive
 
 
 class AttenuationConfig(Section, shading.Attenuation):
@@ -18,6 +19,11 @@ class _LitConfig(Section, shading.Lit):
     attenuation: AttenuationConfig = Field(
         default_factory=AttenuationConfig, description="attenuation with the distance to a light"
     )
+
+    @classmethod
+    def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
+        """`intensity` together with `intensities`."""
+        yield from exclusive(data, "intensities", "intensity")
 
 
 class PhongConfig(_LitConfig, shading.Phong):

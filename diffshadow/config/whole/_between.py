@@ -70,6 +70,10 @@ def run_faults(config: Parts) -> Iterator[Conflict]:
             if getattr(config, key) is not None:
                 what = fault("is given with reference.type picture", "a single fit to a picture", "remove one of them")
                 yield (key,), what
+    intensities, lights = config.shading.intensities, len(config.scene.each_light)
+    if intensities is not None and len(intensities) != lights:
+        message = f"has {len(intensities)} entries, and the scene has {lights} light{'' if lights == 1 else 's'}"
+        yield ("shading", "intensities"), fault(message, "one for each light", "add or remove some")
     if config.reference.type == "image" and len(config.scene.each_light) > 1:
         message = f"is a single image, for {len(config.scene.each_light)} lights"
         yield ("reference", "type"), fault(message, "one light, or a traced reference", "set it to traced")

@@ -32,7 +32,7 @@ class PictureProblem(ArrangedProblem):
     """An arrangement, a picture of the scene lit by all of its lights, and all that a fit leaves alone.
 
     Paths lead to numbers of camera, lights, meshes, colours and technique: `camera.turn.y`, `lights.0.azimuth`,
-    `meshes.0.albedo.red`, `shading.intensity.green`, `exposure`. The three channels are compared as three images.
+    `meshes.0.albedo.red`, `shading.intensities.1.green`, `exposure`. The three channels are compared as three images.
 
     - `arrangement`: whose numbers are fitted.
     - `scene`: meshes, camera and lights as they stand before the arrangement moves them.
@@ -90,7 +90,7 @@ class PictureProblem(ArrangedProblem):
 
         - `technique`: its `map` says how maps are drawn; with silhouettes unless it sets them to `False`.
         - `picture`: (h, w, 3), as large as the camera's image. Row 0 is the bottom row.
-        - `shading`: of the scene; the default one of `Phong` if left out.
+        - `shading`: of the scene; the default one of `Phong` if left out. Its `intensities` are fitted one by one.
         - `mask`: (h, w), the pixels that count; all if left out.
         - `encoding`: of the picture; `exposure`: by how many stops what is drawn is lightened.
         - `arrangement`: what is fitted, if not all as it stands in the scene, with its own shading and exposure.
