@@ -176,7 +176,7 @@ def test_an_error_that_jax_makes_of_an_interrupt_is_reported_where_interrupts_ar
     def stopped(*args, **options):
         raise RuntimeError("INTERNAL: CpuCallback error: KeyboardInterrupt")
 
-    monkeypatch.setattr("diffshadow.cli.load_sweep", stopped)
+    monkeypatch.setattr("diffshadow.cli._sweeps.load_sweep", stopped)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with pytest.raises(SystemExit) as caught:
         main(["sweep", "s.yaml"])
@@ -185,7 +185,9 @@ def test_an_error_that_jax_makes_of_an_interrupt_is_reported_where_interrupts_ar
 
 
 def test_main_tells_of_an_interrupt(monkeypatch, capsys):
-    monkeypatch.setattr("diffshadow.cli.load_sweep", lambda *args, **options: signal.raise_signal(signal.SIGINT))
+    monkeypatch.setattr(
+        "diffshadow.cli._sweeps.load_sweep", lambda *args, **options: signal.raise_signal(signal.SIGINT)
+    )
     with pytest.raises(SystemExit) as caught:
         main(["sweep", "s.yaml"])
     assert caught.value.code == 130

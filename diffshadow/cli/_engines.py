@@ -1,0 +1,125 @@
+"""Commands for engines: convert, defaults and import."""
+
+from pathlib import Path
+
+from ..config import load_config, settings_file
+from ..console import Console
+from ..settings.engines import EngineName, ImportedTechnique, ShadowType, ThreeJs
+from ._app import app, print_notes, print_path
+from ._jax import start_jax
+
+
+@app.command
+def convert(config: Path, /, *overrides: str) -> None:
+    """Prints the bias and the radius of CONFIG in the units of three.js, Babylon.js, Godot, Bevy, Filament and Unity.
+
+    Of a finished fit, it converts the fitted values. To a bias that engines lack, such as a slope or a receiver plane,
+    it fits the shadows of three.js and Babylon.js, which takes as long as two fits, and says how to fit what another
+    engine has. The technique may be three.js' or Babylon.js' own.
+
+    Example: `diffshadow convert runs/quickstart`
+
+    Example: `diffshadow convert configs/quickstart.yaml bias.slope=0 bias.constant=1.5`
+
+    Parameters
+    ----------
+    config
+        YAML file with technique type shadow_map, three.js or babylon.js, mesh file, folder of a finished run or
+        builtin:NAME.
+    overrides
+        KEY=VALUE pairs that replace values of the file, such as `bias.constant=2`.
+    """
+    file, origin = settings_file(config)
+    settings = load_config(file, overrides)
+    print_notes(settings.notes)
+    origin += f", with {' '.join(overrides)}" if overrides else ""
+    start_jax()
+    from .. import study
+
+    study.convert(settings, console=Console(), origin=origin, source=config, overrides=overrides)
+
+
+@app.command
+def defaults(
+    *,
+    filter: str | None = None,
+    radius: float | None = None,
+    engine: EngineName | None = None,
+    map: int | None = None,
+    window: float | None = None,
+    depth: float | None = None,
+) -> None:
+    """Prints rules of thumb: biases that hold over many scenes, and what they cost against a fit.
+
+    Example: `diffshadow defaults --filter random_disk --radius 3`
+
+    Example: `diffshadow defaults --engine godot --map 2048 --window 40 --depth 100`
+
+    Parameters
+    ----------
+    filter
+        Type of a filter, such as pcf, whose bias is printed as a part of a configuration.
+    radius
+        Its radius in texels.
+    engine
+        Engine whose settings are printed, for its default filter and a directional light.
+    map
+        Texels along a side of the engine's map.
+    window
+        How wide the light's shadow camera is, in world units.
+    depth
+        Its far plane less its near plane, in world units.
+    """
+    from .. import study
+
+    study.print_defaults(
+        console=Console(), filter=filter, radius=radius, engine=engine, size=map, window=window, depth=depth
+    )
+
+
+@app.command(name="import")
+def import_(
+    scene: Path,
+    /,
+    *,
+    camera: str | None = None,
+    light: str | None = None,
+    technique: ImportedTechnique = "three.js",
+    shadow_type: ShadowType = ThreeJs.shadow_type,
+    output: Path | None = None,
+) -> None:
+    """Makes a configuration of SCENE, a file that three.js or another program stored: JSON of scene.toJSON(), GLB or
+    glTF 2.0.
+
+    Says what is taken over, and what is left out or otherwise than in the scene. The path of the configuration is the
+    last line printed.
+
+    Example: `diffshadow import scene.json --output scene`
+
+    Parameters
+    ----------
+    scene
+        The scene's file.
+    camera
+        Name of the camera, by default the first; or the file of a scene that holds one.
+    light
+        Name of the light, by default the first that casts shadows.
+    technique
+        Technique of the configuration; three.js takes the settings of the light's shadow over.
+    shadow_type
+        Type of renderer.shadowMap, which no scene's file holds.
+    output
+        Folder for the configuration and its meshes, by default one named like the file, in the current folder.
+    """
+    from .. import study
+
+    made = study.import_scene(
+        scene,
+        console=Console(),
+        camera=camera,
+        light=light,
+        technique=technique,
+        shadow_type=shadow_type,
+        output=output,
+    )
+    print_path(made)
