@@ -12,7 +12,8 @@ from ..._types import HostArray
 from ...config import CONFIG_FILE as CONFIG
 from ...config import Config, Row, describe, load_config
 from ._run_folder import RESULT
-from ._schema import SLACK, checked_result, read_json, write_json
+from ._schema import checked_result, read_json, write_json
+from ._schema_parts import SLACK
 
 ARRAYS, REPORT = "arrays.npz", "report.html"
 KINDS = {"fit": (("Before", "before"), ("After", "after")), "render": (("Visibility", "visibility"),)}
