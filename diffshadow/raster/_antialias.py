@@ -19,7 +19,7 @@ from .._arithmetic import take
 from .._checks import check_instance
 from .._padding import padded_to, round_up_to_power_of_two
 from .._types import ClipVertices, FaceMap, Faces, Resolution, Vec3
-from ..geometry import AbstractCamera, Edges, Mesh, MeshLike, View, as_mesh
+from ..geometry import NO_NEIGHBOUR, AbstractCamera, Edges, Mesh, MeshLike, View, as_mesh
 from ..settings import maps
 from ..settings.maps import Cull
 from ._boundaries import Boundaries, Pieces, find_creases
@@ -33,6 +33,8 @@ from ._within_pixels import points_within_pixels
 
 # Both sides of a line are shaded so far away from it, in pixels.
 _ASIDE = 0.25
+# A centre less than this far inside the outline of what it sees, in pixels, has a part of its colour replaced.
+_NEAR = 0.3
 # Memory for fewer pieces and crossings would save no time, and compile more programs.
 _LEAST = 1024, 256
 
@@ -58,12 +60,14 @@ class AntialiasedSurface(eqx.Module):
         pixels, such as visibility and colours, is an image of that size; `resolve` makes a picture (h, w) of it.
     - `pixel`: (n,), the pixel that each boundary is in, row · width + column; h · w for none.
     - `area`: (n,), how much of the pixel's mean it moves from its left colour to its right one. It may be negative.
+    - `nearness`: (n,), how much of the centre's colour its left one replaces, near the outline of what the centre sees.
     - `overflow`: whether there were more pieces than planned, so that the picture is wrong; none if that is an error.
     """
 
     surface: Surface
     pixel: Int[Array, " n"]
     area: Float[Array, " n"]
+    nearness: Float[Array, " n"]
     resolution: Resolution = eqx.field(static=True)
     overflow: Bool[Array, ""] | None = None
 
@@ -120,12 +124,19 @@ class AntialiasedSurface(eqx.Module):
         return own.at[:height].set(jnp.where(is_whole.reshape(height, width), mean, own[:height]))
 
     def resolve(self, image: Float[Array, "H w *c"]) -> Float[Array, "h w *c"]:
-        """The mean over each pixel of an image with values for all points of `surface`."""
+        """The mean over each pixel of an image with values for all points of `surface`.
+
+        A smooth surface is seen edge-on at its outline, and its colour changes fast there. A centre on that surface and
+        close to its outline stands for little of the pixel. The colour farther inside, on the outline's left, replaces
+        it.
+        """
         height, width = self.resolution
         centres, others = image[:height], image[height:]
         left, right = others.reshape(2, -1, *image.shape[2:])[:, : self.area.shape[0]]
         flat = centres.reshape(height * width, *image.shape[2:])
-        change = (right - left) * self.area.reshape(-1, *[1] * (left.ndim - 1))
+        area, nearness = (each.reshape(-1, *[1] * (left.ndim - 1)) for each in (self.area, self.nearness))
+        own = take(flat, jnp.minimum(self.pixel, height * width - 1))
+        change = (right - left) * area + nearness * (left - own)
         return flat.at[self.pixel].add(change, mode="drop").reshape(centres.shape)
 
 
@@ -281,4 +292,28 @@ def _antialiased(
         left, right = passes_at_points(mesh, of_sides, clip, points).reshape(2, -1)[:, :count]
         in_sight = in_sight & left & right
     area = jnp.where(in_sight, pieces.beyond + sides.correction, 0)
-    return AntialiasedSurface(surface, pieces.pixel, area, (height, width)), pieces.is_whole
+    own = take(centres.reshape(-1), jnp.minimum(pieces.pixel, height * width - 1))
+    is_own = _are_neighbours(mesh.faces, own, sides.left) & (lax.stop_gradient(area) > 0)
+    is_own = is_own & (take(fixed.right, pieces.segment) == NO_NEIGHBOUR)
+    nearness = _nearness(fixed_pieces, is_own, (height, width))
+    return AntialiasedSurface(surface, pieces.pixel, area, nearness, (height, width)), pieces.is_whole
+
+
+def _are_neighbours(faces: Faces, first: Int[Array, " n"], second: Int[Array, " n"]) -> Bool[Array, " n"]:
+    """Whether two faces are one, or share a vertex."""
+    one, other = (take(faces, jnp.maximum(face, 0)) for face in (first, second))
+    share = jnp.any(one[:, :, None] == other[:, None, :], axis=(1, 2))
+    return share & (first != NO_FACE) & (second != NO_FACE)
+
+
+def _nearness(pieces: Pieces, is_own: Bool[Array, " n"], resolution: Resolution) -> Float[Array, " n"]:
+    """See `AntialiasedSurface`, given which pieces are silhouettes of what the centre sees.
+
+    All pieces of a pixel together replace no more than the whole colour.
+    """
+    height, width = resolution
+    middle = jnp.stack([pieces.pixel % width, pieces.pixel // width], axis=1) + 0.5
+    distance = jnp.sqrt(jnp.sum((pieces.nearest - middle) ** 2, axis=1))
+    near = jnp.where(is_own, jnp.clip(1 - distance / _NEAR, 0, 1), 0)
+    total = jnp.zeros(height * width + 1, near.dtype).at[pieces.pixel].add(near)[pieces.pixel]
+    return near / jnp.maximum(total, 1)

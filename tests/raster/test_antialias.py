@@ -22,6 +22,7 @@ from diffshadow.geometry import (
     translation,
 )
 from diffshadow.raster import AntialiasPlan, draw_antialiased, draw_surface, plan_antialiasing
+from diffshadow.raster._antialias import _NEAR as NEAR
 from diffshadow.raster._boundaries import Boundaries, Pieces, find_creases
 from diffshadow.raster._within_pixels import points_within_pixels
 from diffshadow.shading import Phong
@@ -226,16 +227,29 @@ def test_values_at_centres_extend_to_the_nearest_surface():
     near, far = quad((0.1, 0, 1), (0.4, 0.1, 0), (-0.1, 0.3, 0)), quad((0, 0, 0), (2, 0, 0), (0, 2, 0))
     mesh = merge([grey(near, 0.9), grey(far, 0.2)])
     planned = plan_antialiasing(mesh, FRONT)
-    own, extended = extended_albedo(mesh.padded(), AntialiasPlan(planned.edges, planned.creases, 1024, 256))
+    plan = AntialiasPlan(planned.edges, planned.creases, 1024, 256)
+    own, extended, of_centres = extended_albedo(mesh.padded(), plan)
     np.testing.assert_array_equal(extended[:SIDE], own[:SIDE])
     np.testing.assert_array_equal(extended[SIDE:][own[SIDE:] > 0], own[SIDE:][own[SIDE:] > 0])
+    # A centre on the near card counts the less, the closer the card's outline is to it.
+    corners = 24 + 24 * (np.array([0.1, 0]) + np.array([[-0.3, -0.4], [0.5, -0.2], [0.3, 0.4], [-0.5, 0.2]]))
+    middle = np.stack(np.meshgrid(np.arange(SIDE) + 0.5, np.arange(SIDE) + 0.5), axis=-1)
+    distance = np.full((SIDE, SIDE), np.inf)
+    for start, along in zip(corners, np.roll(corners, -1, axis=0) - corners, strict=True):
+        t = np.clip((middle - start) @ along / (along @ along), 0, 1)
+        distance = np.minimum(distance, np.linalg.norm(start + t[..., None] * along - middle, axis=-1))
+    expected = np.where(np.isclose(own[:SIDE, :, 0], 0.9), np.clip(distance / NEAR, 0, 1), 1)
+    assert (expected < 0.1).any()
+    assert np.mean(np.abs(of_centres - expected)[expected < 1] < 1e-3) > 0.9
+    np.testing.assert_allclose(of_centres[expected == 1], 1, atol=1e-6)
 
 
 @eqx.filter_jit
 def extended_albedo(mesh, planned):
-    """The albedo of all points, and as extended from pixel centres."""
+    """The albedo of all points, and as extended from pixel centres; and how much each pixel's centre counts."""
     seen = draw_antialiased(mesh, FRONT, planned)
-    return seen.surface.albedo, seen.extend(seen.centres.albedo)
+    is_centre = jnp.zeros(seen.surface.mask.shape).at[:SIDE].set(1)
+    return seen.surface.albedo, seen.extend(seen.centres.albedo), seen.resolve(is_centre)
 
 
 @pytest.mark.exhaustive
