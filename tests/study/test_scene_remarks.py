@@ -29,7 +29,7 @@ COLLINEAR = "v 0 0 0\nv 1 0 1\nv 3 0 3\nf 1 2 3\n"
 def remarks(mesh, folder, *overrides):
     config = parse_config(SCENE.format(mesh=mesh), overrides, folder=folder)
     with Stages(Console(quiet=True)) as stages:
-        scene, messages = load(config, stages)
+        scene, messages, _ = load(config, stages)
     surface = draw_surface(scene.mesh, scene.camera)
     return [*messages, *scene_remarks(config, build_technique(config), [scene], surface)]
 
@@ -205,7 +205,7 @@ def side_remarks_on(mesh, light, technique, folder):
     text = SIDES.format(mesh="open.obj", light=light, technique=f"{technique}}}")
     config = parse_config(text, folder=folder)
     with Stages(Console(quiet=True)) as stages:
-        scene, _ = load(config, stages)
+        scene = load(config, stages).scene
     return list(side_remarks(config, build_technique(config), [scene]))
 
 
