@@ -9,6 +9,8 @@ from engines.engines import vertex_normals
 from diffshadow.shadow import BabylonJs, EngineLight, ThreeJs
 
 Engine = ThreeJs | BabylonJs
+NEAR = 1 / 255
+"""The most that visibilities may differ by and count as equal."""
 
 
 def engine_job(case: common.Case, technique: Engine, drawn: list[Engine]) -> dict[str, Any]:

@@ -8,7 +8,7 @@ import _common as common
 import _rule_errors as errors
 import jax.numpy as jnp
 import numpy as np
-from _engine_jobs import Engine, engine_job
+from _engine_jobs import NEAR, Engine, engine_job
 from engines.engines import draw
 from rich.table import Table
 
@@ -20,8 +20,6 @@ EXACT = ("three.js", "babylon.js")
 """The engines that can be drawn here."""
 STATES = ("shipped", "rule")
 HEAD = ("engine", "bias", "RMSE in the engine", "predicted", "acne in the engine", "predicted", "pixels equal")
-# A difference that nobody sees.
-_NEAR = 1 / 255
 
 
 class _Scene(NamedTuple):
@@ -33,18 +31,19 @@ class _Scene(NamedTuple):
     techniques: list[Engine]
 
 
-def checked(scenes: Sequence[Config], rules: Mapping[str, Sequence[float]], console: Console) -> dict[str, Any]:
+def checked(scenes: Sequence[Config], rules: Mapping[str, Any], console: Console) -> dict[str, Any]:
     """What the engines draw in the scenes that have a light of theirs, by engine and state: means over the scenes of
     the root mean square error, the share of scenes with acne and with leaks, each in the engine and as predicted, and
     the share of pixels that are equal.
 
     **Arguments:**
 
-    - `rules`: by engine, the constant bias and the normal offset in texels.
+    - `rules`: what was found for each engine: its `bias` is constant, slope and normal offset in texels.
     """
     found = {}
-    for name, rule in rules.items():
-        tried = [_scene(settings, name, rule) for settings in common.progress(scenes, name, console)]
+    for name in EXACT:
+        constant, _, offset = rules[name]["bias"]
+        tried = [_scene(settings, name, (constant, offset)) for settings in common.progress(scenes, name, console)]
         made = [each for each in tried if each is not None]
         jobs = [engine_job(each.case, each.techniques[0], each.techniques) | {"outputs": ["mesh"]} for each in made]
         pictures = [drawing.arrays for drawing in draw(jobs)]
@@ -53,7 +52,7 @@ def checked(scenes: Sequence[Config], rules: Mapping[str, Sequence[float]], cons
     return found
 
 
-def _scene(settings: Config, name: str, rule: Sequence[float]) -> _Scene | None:
+def _scene(settings: Config, name: str, rule: tuple[float, float]) -> _Scene | None:
     """None if the engine lacks the light."""
     case = common.draw(settings)
     plain, shadow_map, covered = errors.plain_map(case)
@@ -66,7 +65,7 @@ def _scene(settings: Config, name: str, rule: Sequence[float]) -> _Scene | None:
     values = (shipped.values, [texels * unit for texels, unit in zip(rule, units, strict=True)])
     techniques = [dataclasses.replace(one, bias=jnp.float32(a), normal_bias=jnp.float32(b)) for a, b in values]
     pixels = errors.pixels_per_texel(plain, shadow_map, case)
-    seen = errors.seen_by(case.truth, covered & (np.asarray(at.cosine) > 0), shipped.reach * pixels)
+    seen = errors.seen_in_engine(shipped, case, at, covered, pixels)
     return _Scene(case, one.prepare(case.scene, case.surface), seen, techniques)
 
 
@@ -81,7 +80,7 @@ def _scores(scene: _Scene, arrays: Mapping[str, np.ndarray]) -> list[list[float]
     rows = []
     for technique, picture in zip(scene.techniques, arrays["grid"].clip(0, 1), strict=True):
         predicted = technique.visibility(scene.state, scene.case.surface)
-        equal = np.abs(np.asarray(predicted) - picture)[inside] <= _NEAR
+        equal = np.abs(np.asarray(predicted) - picture)[inside] <= NEAR
         both = (errors.scores_of(jnp.asarray(image), seen) for image in (picture, predicted))
         rows.append([*(float(x) for each in both for x in each), float(equal.mean())])
     return rows

@@ -268,10 +268,7 @@ def _of_engine(
     units = units_of(shipped, case, at)
     if units is None:
         return {}
-    if shipped.filter is None:
-        # The engines' shading makes these dark, whatever their shadows are. Ours are dark there themselves.
-        covered = covered & (np.asarray(at.cosine) > 0)
-    seen = seen_by(case.truth, covered, shipped.reach * pixels)
+    seen = seen_in_engine(shipped, case, at, covered, pixels)
     # A setting in texels; the settings of three.js are negative.
     own = [value / unit if unit else 0.0 for value, unit in zip(shipped.values, units, strict=True)]
     grid, resolution = grid_of(name), case.settings.shadow_map.resolution
@@ -289,6 +286,16 @@ def _of_engine(
         numbers = np.concatenate([grid[:, [0, 2]] * units, [shipped.values]])[:, : len(paths)]
         errors = grid_errors(technique, numbers, state, case.surface, seen, paths)
     return {name: errors[:-1], f"shipped {name}": errors[-1], f"units {name}": np.array(units)}
+
+
+def seen_in_engine(
+    shipped: Shipped, case: common.Case, at: shadow.Receiver, covered: np.ndarray, pixels: float
+) -> Seen:
+    """The pixels that count for an engine, where a texel is `pixels` long on the screen."""
+    if shipped.filter is None:
+        # The engines' shading makes these dark, whatever their shadows are. Ours are dark there themselves.
+        covered = covered & (np.asarray(at.cosine) > 0)
+    return seen_by(case.truth, covered, shipped.reach * pixels)
 
 
 def engine_technique(name: str, resolution: tuple[int, int]) -> Any:

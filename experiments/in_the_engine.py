@@ -25,7 +25,7 @@ from typing import Any
 import _common as common
 import jax.numpy as jnp
 import numpy as np
-from _engine_jobs import Engine, engine_job
+from _engine_jobs import NEAR, Engine, engine_job
 from cyclopts import App
 from engines.engines import draw, missing
 from matplotlib.figure import Figure
@@ -40,7 +40,6 @@ from diffshadow.study import style
 NAME = "in_the_engine"
 SUBPIXELS = "technique.subpixels=16"
 """What Chromium does without graphics hardware."""
-NEAR = 1 / 255
 STATES = ("defaults", "before", "after")
 
 app = App(help=__doc__, help_format="plaintext", result_action="return_value")

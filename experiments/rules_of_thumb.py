@@ -98,31 +98,34 @@ def main(
     result |= {"layouts": layouts.compared(by_layout, every), "taps": layouts.taps_compared(by_taps)}
     if in_engines:
         tested = [i for i in range(scenes) if apart[i]][:in_engines]
-        texts = [json.dumps(collection.scene(seed, i, pixels)) for i in tested]
-        own = {name: (result["engines"][name]["bias"][0], result["engines"][name]["bias"][2]) for name in engines.EXACT}
-        result["in_engines"] = engines.checked([parse_config(each) for each in texts], own, console)
+        drawn = [parse_config(json.dumps(collection.scene(seed, i, pixels))) for i in tested]
+        result["in_engines"] = engines.checked(drawn, result["engines"], console)
     rules.show(console, result)
     layouts.show(console, result)
-    engines.show(console, result.get("in_engines", {}))
-    about = {"scenes": scenes, "seed": seed, "pixels": pixels, **result}
-    text = json.dumps(about, indent=1, allow_nan=False) + "\n"
-    drawn = {
-        f"{NAME}.png": figures.of_rules(result),
-        "collection.png": figures.of_collection(seed, pixels, measured.described),
+    if in_engines:
+        engines.show(console, result["in_engines"])
+    _write(folder, {"scenes": scenes, "seed": seed, "pixels": pixels, **result}, measured.described, publish=publish)
+    console.print(str(folder), soft_wrap=True)
+    return {**result, "folder": str(folder)}
+
+
+def _write(folder: Path, about: Mapping[str, Any], described: np.ndarray, *, publish: bool) -> None:
+    """Writes the results and their figures into the folder, and what the page and the package take from them."""
+    made = {
+        f"{NAME}.png": figures.of_rules(about),
+        "collection.png": figures.of_collection(about["seed"], about["pixels"], described),
     }
-    for name, made in drawn.items():
-        for to in (folder, *([PAGE.parent / "images"] if publish else [])):
+    for name, figure in made.items():
+        for to in (folder, PAGE.parent / "images") if publish else (folder,):
             with io.atomic_path(to / name) as path:
-                made.savefig(path, format="png", dpi=_DPI, metadata={"Software": "diffshadow"})
-    texts = {folder / f"{NAME}.json": text}
+                figure.savefig(path, format="png", dpi=_DPI, metadata={"Software": "diffshadow"})
+    texts = {folder / f"{NAME}.json": json.dumps(about, indent=1, allow_nan=False) + "\n"}
     if publish:
         texts[PAGE] = page.with_tables(PAGE.read_text(encoding="utf-8"), page.tables(about))
         texts[PACKAGED] = page.as_text(page.packaged(about))
-    for to, written in texts.items():
+    for to, text in texts.items():
         with io.atomic_path(to) as path:
-            path.write_text(written, encoding="utf-8")
-    console.print(str(folder), soft_wrap=True)
-    return {**result, "folder": str(folder)}
+            path.write_text(text, encoding="utf-8")
 
 
 def stored(

@@ -119,7 +119,8 @@ def crossing_faces(
 def plane_crossings(
     other: FaceMap, centres: FaceMap, clip: ClipVertices, faces: Faces, capacity: int
 ) -> PlaneCrossings:
-    """The lines where the faces at pixel centres meet those of `crossing_faces`, for up to `capacity` pixels."""
+    """The lines where the face at a pixel's centre meets the face that `crossing_faces` found, for up to `capacity`
+    pixels."""
     height, width = centres.shape
     resolution = height, width
     pixels = height * width

@@ -186,7 +186,7 @@ _last: dict[tuple[Any, ...], tuple[list[weakref.ref[Mesh]], _Traced]] = {}
 def _traced(
     make_tracer: Callable[[Triangles], AbstractTracer], scene: Scene, blocking: Bool[HostArray, " f"]
 ) -> _Traced:
-    """The tracers of a scene, of which these faces are `blocking`."""
+    """The tracers of a scene. `blocking` says which faces block shadow rays."""
     key = make_tracer, blocking.tobytes(), len(scene.meshes)
     refs, kept = _last.get(key, ([], None))
     if kept is not None and all(ref() is mesh for ref, mesh in zip(refs, scene.meshes, strict=True)):
