@@ -18,6 +18,7 @@ from ._bounds import AtBound, at_bounds
 from ._front import FrontPoint, front_of
 from ._history import Step, shown_steps
 from ._how import Search, Sureness
+from ._judge import Judge
 from ._loss import Loss
 from ._own_loss import LossFunction, OwnLoss
 from ._parameters import Parameter, Parameters
@@ -174,7 +175,8 @@ def fit(
     with showing("fit", unless=on_step is not None) as update:
         watch = on_step if update is None else shown_steps(update, phases, search.starts, joint.own is not None)
         watch = _from_offsets(watch, offsets)
-        run = Run(parameters, phases[-1].joint.hard(), phases, chosen, search.evaluations, watch)
+        judge = Judge(phases[-1].joint.hard(), Parameters.of(parameters))
+        run = Run(parameters, judge, phases, chosen, search.evaluations, watch)
         with run.reporter:
             path, tried = run.through(spread)
         result = _result(run, path, tried, parameters, sureness)
@@ -190,7 +192,7 @@ def _result(
     best = path.chosen(run.solver.noise or 0.0)
     values, least, profiles = _chosen(run, path.values[best], parameters, sureness)
     points = front_of(run, least, sureness.front) if sureness.front else []
-    end, precision = run.judged_at(as_float(values)), run.precision(path, best - 1)
+    end, precision = run.judge.at(as_float(values)), run.precision(path, best - 1)
     return FitResult(
         technique=end.technique,
         initial=dict(zip(run.names, path.values[0], strict=True)),
@@ -205,13 +207,13 @@ def _result(
         precision=precision,
         starts=tried,
         enlargements=run.enlargements,
-        problems=run.judge.problems,
+        problems=run.judge.joint.problems,
         profiles=profiles,
         best=dict(zip(run.names, least, strict=True)),
         front=points,
         at_bounds=at_bounds(run, parameters, values),
         errors=(root(path.losses[0]), run.error(least)),
-        is_own_loss=run.judge.own is not None,
+        is_own_loss=run.judge.joint.own is not None,
     )
 
 

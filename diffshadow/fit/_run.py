@@ -13,14 +13,15 @@ from jaxtyping import Array, Float
 from .._arithmetic import as_float, as_int
 from .._types import HostArray
 from ._history import Reporter, Step
-from ._loss import Errors, Loss
+from ._judge import Judge
+from ._loss import Loss
 from ._parameters import Parameter, Parameters
 from ._phases import Phase, enlarged
 from ._precision import Precision, on_grids, precision_of
 from ._programs import compiled
 from ._search import search
 from ._solve import Solution, solve
-from .problems import Atlases, Joint, Losses, Samples, on_host
+from .problems import on_host
 from .solvers import Solver, Stop
 
 # How often a phase may be given memory for more silhouettes.
@@ -103,8 +104,7 @@ class Trajectory(NamedTuple):
 class Run:
     """A fit in progress.
 
-    - `judge`: the problems at full resolution under the hard compare. It sees the start and the end of every phase, and
-        the best of these is the result.
+    - `judge`: sees the start and the end of every phase, and the best of these is the result.
     - `phases`: whose memory for silhouettes may grow.
     - `evaluations`: of the error in a search, for each parameter.
     - `history`: every evaluation so far, in order.
@@ -113,13 +113,13 @@ class Run:
     def __init__(
         self,
         parameters: Sequence[Parameter],
-        judge: Joint,
+        judge: Judge,
         phases: list[Phase],
         solver: Solver,
         evaluations: int,
         on_step: Callable[[Step], None] | None,
     ):
-        self.names, self.parameters = tuple(p.name for p in parameters), Parameters.of(parameters)
+        self.names, self.parameters = tuple(p.name for p in parameters), judge.parameters
         self.judge, self.phases, self.solver, self.evaluations = judge, phases, solver, evaluations
         self.history: list[Step] = []
         self.reporter = Reporter(self.parameters, self.history, on_step)
@@ -127,10 +127,6 @@ class Run:
         self.enlargements = 0
         self.seconds_compiling = 0.0
         self._programs: dict[Any, dict[Any, Any]] = {}
-        self._judged_errors: dict[Any, Errors] = {}
-        self._samples: Samples = {}
-        self._atlases: Atlases = {}
-        self._stacked: tuple[Any, Joint] | None = None
 
     def through(self, spread: Float[Array, "s p"]) -> tuple[Trajectory, list[Start]]:
         """The best path from `spread` (s, p), and the course of each start where there are several."""
@@ -278,16 +274,14 @@ class Run:
         """The roots of the judge's losses at `values`: of false shadow, and of false light. They are infinite for a
         layout that does not suit the scene."""
         try:
-            judge = self.judged_at(as_float(values))
+            dark, light = self.judge.sides(as_float(values))
         except ValueError:
             return np.inf, np.inf
-        dark, light = (float(loss) ** 0.5 for loss in judge.sides(judge.subject))
-        return dark, light
+        return dark**0.5, light**0.5
 
     def rmse(self, values: Values) -> float:
         """The root mean square error over all pixels under the hard compare, whatever the loss."""
-        judge = self.judged_at(as_float(values)).with_loss(Loss())
-        return float(self._losses(judge).whole) ** 0.5
+        return float(self.judge.losses(as_float(values), Loss()).whole) ** 0.5
 
     def _arguments(
         self,
@@ -299,58 +293,21 @@ class Run:
         token: Array,
     ) -> tuple[Any, ...]:
         """The arguments of a phase's program from the `free` values of its active `parameters`."""
-        joint = phase.joint.put(self.parameters, values)
-        if not joint.moves:
-            whole = dataclasses.replace(joint, problems=self.judged_at(values).problems)
-            # A user's loss may compare neighbours, so it sees whole images.
-            takes_all = whole.own is not None or whole.count <= phase.pixels
-            joint = whole if takes_all else self._sample(whole, phase.pixels, values)
-        joint = joint.each(lambda p: p.padded()).stacked(self._atlases)
+        own = phase.joint
+        joint = own.each(lambda p: p.padded()).stacked() if own.moves else self.judge.seen_by(phase, values)
+        joint = dataclasses.replace(joint, subject=self.parameters.put(own.subject, values), loss=own.loss)
         stop = Stop(*map(as_float, phase.stop))
         return joint, parameters, as_float(free), self.solver, token, as_float(scale), stop
-
-    def _sample(self, whole: Joint, pixels: int, values: Float[Array, " p"]) -> Joint:
-        """A sample of about so many `pixels` of `whole` at `values` (p,)."""
-        # A mean of a part of the pixels is close to the mean of all. The worst of several is not: few images decide.
-        errors = None if whole.loss.over == "mean" else self._errors(values, whole.loss)
-        order = [] if errors is None else np.argsort(-np.asarray(errors), kind="stable").tolist()
-        worst = order[: -(-len(order) // 4)]
-        sample = whole.sampled(pixels, worst, self._samples)
-        return sample if errors is None else sample.corrected(errors, self._atlases)
-
-    def judged_at(self, values: Float[Array, " p"]) -> Joint:
-        """The judge with `values` (p,), and maps laid out for them."""
-        self.judge = self.judge.laid_out(self.parameters, values)
-        return self.judge.put(self.parameters, values)
-
-    def _losses(self, judge: Joint) -> Losses:
-        """The losses of the judge, by all devices if there are several."""
-        if judge.devices == 1 or judge.moves or judge.own is not None:
-            return judge.losses(judge.subject)
-        if self._stacked is None or self._stacked[0] is not judge.problems:
-            self._stacked = judge.problems, judge.each(lambda p: p.padded()).stacked()
-        return judge.losses_together(self._stacked[1])
-
-    def _errors(self, values: Float[Array, " p"], loss: Loss) -> Errors:
-        """The errors of whole images under the hard compare at `values` (p,), with the factors of `loss`."""
-        key = _key(values, loss)
-        if key not in self._judged_errors:
-            judge = self.judged_at(values).with_loss(loss.exact())
-            self._judged_errors[key] = self._losses(judge).errors
-        return self._judged_errors[key]
 
     def _judged(self, values: Float[Array, " p"]) -> tuple[float, float]:
         """The judge's losses at `values` (p,): of the compared part of the differences, and of all of them."""
         for _ in range(_ENLARGEMENTS + 1):
-            # Not as one program: its parts share theirs with all else that is drawn.
-            judge = self.judged_at(values)
-            found = self._losses(judge)
+            found = self.judge.losses(values, self.judge.loss)
             if not found.overflow:
-                self._judged_errors[_key(values, judge.loss)] = found.errors
                 loss, hard_loss = (float(each) if np.isfinite(each) else np.inf for each in found[:2])
                 return loss, hard_loss
             self.enlargements += 1
-            self.judge = enlarged(self.judge, self.parameters, values[None])
+            self.judge.enlarge(values)
         raise ValueError(_NEVER_ENOUGH)
 
     def _solution(self, number: int, free: Float[Array, " p"], values: Float[Array, " p"], scale: float) -> Solution:
@@ -395,11 +352,6 @@ class Run:
 def root(loss: float) -> float:
     """The root of a loss; a user's may be less than 0."""
     return max(loss, 0.0) ** 0.5
-
-
-def _key(values: Float[Array, " p"], loss: Loss) -> tuple[float, ...]:
-    """What the errors of images depend on."""
-    return *values.tolist(), float(loss.false_shadow), float(loss.false_light)
 
 
 def _replaced(

@@ -21,6 +21,7 @@ from diffshadow.fit import (
     fit,
     with_values,
 )
+from diffshadow.fit._judge import Judge
 from diffshadow.fit._solve import _weights, _with_slopes
 from diffshadow.fit.problems import Joint, products, squares
 from diffshadow.fit.problems._stack import Stack, of_one_structure
@@ -270,6 +271,22 @@ def test_problems_of_several_structures_are_a_stack_and_problems(views, waved, s
     assert [[id(each) for each in group] for group in groups] == [[id(spot)] * 2, [id(each) for each in views]]
 
 
+def test_a_judge_finds_the_same_of_all_images_by_one_program(waved, small, monkeypatch):
+    first, second = waved
+    # The third has the first's surface, and the second has another one.
+    second = eqx.tree_at(lambda p: p.surface.position, second, 1.1 * second.surface.position)
+    third = eqx.tree_at(lambda p: p.reference, first, second.reference)
+    joint = Joint.of([waving(small, 1.1), first, second, third], Loss("worst", false_light=2.0))
+    values, found = jnp.asarray([0.9, 0.3]), []
+    for many in (64, 4):
+        monkeypatch.setattr("diffshadow.fit._judge._MANY", many)
+        judge = Judge(joint, Parameters.of([FIRST, SECOND]))
+        losses = judge.losses(values, judge.loss)
+        found.append([*losses.errors.tolist(), float(losses.compared), float(losses.whole), *judge.sides(values)])
+    assert len(set(np.round(found[0][:4], 5))) == 4
+    assert found[1] == pytest.approx(found[0], rel=1e-5)
+
+
 def twice(view):
     """The view and itself, with a map of its own, so that the atlas is as large as that of other tests."""
     return [view, eqx.tree_at(lambda p: p.shadow_map, view, jax.tree.map(jnp.array, view.shadow_map))]
@@ -383,7 +400,8 @@ def test_views_are_sampled_only_where_more_pixels_count(views, programs, monkeyp
     monkeypatch.setattr(Joint, "sampled", sample)
     for most in (pixels, pixels - 1):
         fitted(views, search=Search(pixels=most))
-    assert counts == [pixels - 1] * SHORT.phases
+    # One sample serves all phases.
+    assert counts == [pixels - 1]
     assert len(programs.made) == 2
     monkeypatch.undo()
     assert Joint.of(views[0]).sampled(300).problems[0].reference.shape == (16, 16)

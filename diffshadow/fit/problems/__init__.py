@@ -12,6 +12,7 @@ from ._joint import Images as Images
 from ._joint import Joint as Joint
 from ._joint import Losses as Losses
 from ._joint import Samples as Samples
+from ._joint import Together as Together
 from ._joint import check_problem as check_problem
 from ._joint import multiplied as multiplied
 from ._joint import products as products
@@ -23,5 +24,6 @@ from ._shape import ShapeProblem as ShapeProblem
 from ._shape import ShapeView as ShapeView
 from ._stack import Atlases as Atlases
 from ._stack import of_one_structure as of_one_structure
+from ._stack import stacked_order as stacked_order
 from ._stack import together as together
 from ._technique import TechniqueProblem as TechniqueProblem

@@ -47,6 +47,14 @@ class Losses(NamedTuple):
     overflow: Overflow
 
 
+class Together(NamedTuple):
+    """What one program finds of many images: their losses, and the losses of what is too dark and of what is too
+    light."""
+
+    losses: Losses
+    sides: tuple[Scalar, Scalar]
+
+
 class Joint(eqx.Module):
     """Problems that share what is fitted, such as one for each view and light.
 
@@ -138,10 +146,7 @@ class Joint(eqx.Module):
 
     def sides(self, subject: Any) -> tuple[Scalar, Scalar]:
         """The losses of what is too dark alone, and of what is too light alone."""
-        differences, _ = self.differences(subject)
-        errors = [squares(each) for each in _by_sign(differences)]
-        dark, light = _weighed(self.loss, errors, self.shares)
-        return dark, light
+        return _sides_of(self.loss, _by_sign(self.differences(subject)[0]), self.shares)
 
     def mean_square_error(self, subject: Any) -> Scalar:
         """The loss of all differences; without a `loss` of its own, the mean square error over all pixels that
@@ -204,12 +209,15 @@ class Joint(eqx.Module):
         atlases = {} if atlases is None else atlases
         return dataclasses.replace(self, problems=stacked(self.problems, atlases, self.devices))
 
-    def losses_together(self, stacks: "Joint") -> Losses:
-        """`losses` by one program, from the same problems as `stacks`."""
-        found = on_host(_losses(dataclasses.replace(stacks, subject=self.subject, loss=self.loss)))
-        errors = np.empty(len(self.problems), np.float32)
-        errors[stacked_order(self.problems)] = found.errors
-        return found._replace(errors=as_array(errors))
+    def together(self, order: Sequence[int]) -> Together:
+        """The `losses` and `sides` of fits of a technique, which are stacked, by one program.
+
+        **Arguments:** `order`: of the stacked problems, as `stacked_order` has it.
+        """
+        found = on_host(_together(self))
+        errors = np.empty(len(order), np.float32)
+        errors[np.asarray(order)] = found.losses.errors
+        return found._replace(losses=found.losses._replace(errors=as_array(errors)))
 
     @property
     def technique(self) -> FittableTechnique:
@@ -237,12 +245,19 @@ class Joint(eqx.Module):
         """Whether the number at `path` lays out the map, so that it is found by a search rather than by gradient."""
         return self.technique.lays_out(path.removeprefix("technique."))
 
+    @property
+    def lays_out(self) -> bool:
+        """Whether numbers of the technique lay out the maps."""
+        return any(map(self.technique.lays_out, parameter_names(self.technique)))
+
     def laid_out(self, parameters: Parameters, values: Float[Array, " p"]) -> "Joint":
         """With maps laid out as `values` (p,) say."""
-        if not any(map(self.technique.lays_out, parameter_names(self.technique))):
+        if not self.lays_out:
             return self
         subject = parameters.put(self.subject, values)
-        return self.each(lambda problem: problem.laid_out(subject))
+        found = self.each(lambda problem: problem.laid_out(subject))
+        is_same = all(new is old for new, old in zip(found.problems, self.problems, strict=True))
+        return self if is_same else found
 
     def each(self, function: Callable[[Any], AbstractProblem]) -> "Joint":
         """With `function` of each problem."""
@@ -280,9 +295,17 @@ def _errors(joint: Joint) -> Errors:
     return squares(differences)
 
 
+def _sides_of(loss: Loss, parts: tuple[Images, Images], shares: Errors) -> tuple[Scalar, Scalar]:
+    dark, light = _weighed(loss, [squares(each) for each in parts], shares)
+    return dark, light
+
+
 @eqx.filter_jit
-def _losses(joint: Joint) -> Losses:
-    return joint.losses(joint.subject)
+def _together(joint: Joint) -> Together:
+    differences, overflow = joint.differences(joint.subject)
+    shares, errors = joint.shares, squares(differences)
+    (whole,) = _weighed(joint.loss, [errors], shares)
+    return Together(Losses(whole, whole, errors, overflow), _sides_of(joint.loss, _by_sign(differences), shares))
 
 
 def _compared(problem: Any, seen: Seen) -> Seen:

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, Int
 
 from ..._arithmetic import as_array, as_int
 from ..._device import chunk_size
+from ...raster import Surface
 from ...settings.fit import Search
 from ...shadow import Atlas, ShadowMap
 from .._own_loss import Seen
@@ -35,37 +36,42 @@ class Stack(eqx.Module):
 
     - `problems`: one problem whose arrays have a leading axis for the images.
     - `atlas`, `numbers`: where their maps are, (n,), if these can be in an atlas. The problems then hold no depths.
+    - `surfaces`, `sights`: where their surfaces are, (n,), if images share some. The problems then hold none.
     - `devices`: how many devices have a part of the problems each. The atlas then has a leading axis for them.
     """
 
     problems: TechniqueProblem
     atlas: Atlas | None = None
     numbers: Int[Array, " n"] | None = None
+    surfaces: Surface | None = None
+    sights: Int[Array, " n"] | None = None
     devices: int = eqx.field(static=True, default=Search.devices)
 
     @classmethod
     def of(cls, problems: Sequence[TechniqueProblem], atlas: Atlas | None, numbers: Sequence[int]) -> "Stack":
         """Of problems of one structure, whose maps have these `numbers` in the atlas."""
-        if atlas is None:
-            return cls(together(problems))
-        bare = [eqx.tree_at(lambda p: p.shadow_map.depth, problem, None) for problem in problems]
-        return cls(together(bare), atlas, as_int(numbers))
+        surfaces, sights = _distinct([problem.surface for problem in problems])
+        if atlas is not None:
+            problems = _without_depths(problems)
+        places = None if atlas is None else as_int(numbers)
+        if len(surfaces) == len(problems):
+            return cls(together(problems), atlas, places)
+        bare = [eqx.tree_at(lambda p: p.surface, problem, None) for problem in problems]
+        return cls(together(bare), atlas, places, together(surfaces), as_int(sights))
 
     @classmethod
     def on(cls, devices: int, problems: Sequence[TechniqueProblem]) -> "Stack":
         """Of problems of one structure, as many on each of the `devices`."""
         each = len(problems) // devices
         parts = [problems[start : start + each] for start in range(0, len(problems), each)]
-        maps: list[list[Any]] = [list({id(p.shadow_map): p.shadow_map for p in part}.values()) for part in parts]
-        most = max(map(len, maps))
+        maps: Any = [_distinct([p.shadow_map for p in part]) for part in parts]
+        most = max(len(own) for own, _ in maps)
         if not _has_atlas(problems[0].shadow_map, most):
             return cls(spread(together(problems), devices), devices=devices)
         # As many maps on each device.
-        atlas = together([Atlas.of([*own, *own[:1] * (most - len(own))]) for own in maps])
-        places = [{id(one): number for number, one in enumerate(own)} for own in maps]
-        numbers = [place[id(p.shadow_map)] for place, part in zip(places, parts, strict=True) for p in part]
-        bare = [eqx.tree_at(lambda p: p.shadow_map.depth, problem, None) for problem in problems]
-        return cls(*spread((together(bare), atlas, as_int(numbers)), devices), devices=devices)
+        atlas = together([Atlas.of([*own, *own[:1] * (most - len(own))]) for own, _ in maps])
+        numbers = [number for _, numbers in maps for number in numbers]
+        return cls(*spread((together(_without_depths(problems)), atlas, as_int(numbers)), devices), devices=devices)
 
     def difference_and_overflow(self, subject: Any) -> tuple[Float[Array, "n h w"], None]:
         """The differences of all problems. Nothing is drawn that could overflow."""
@@ -93,14 +99,16 @@ class Stack(eqx.Module):
         most = max(chunk_size(*_AT_ONCE) // math.prod(sides), 1)
         at_once = max(k for k in range(1, min(most, images) + 1) if images % k == 0)
 
-        def of_one(given: tuple[TechniqueProblem, Int[Array, ""] | None]) -> Any:
-            problem, number = given
+        def of_one(given: tuple[TechniqueProblem, Int[Array, ""] | None, Int[Array, ""] | None]) -> Any:
+            problem, number, sight = given
+            if self.surfaces is not None:
+                problem = dataclasses.replace(problem, surface=jax.tree.map(lambda leaf: leaf[sight], self.surfaces))
             if self.atlas is not None and number is not None:
                 shadow_map: Any = problem.shadow_map
                 problem = dataclasses.replace(problem, shadow_map=self.atlas.reading(shadow_map, number))
             return function(subject, problem)
 
-        return jax.lax.map(of_one, (self.problems, self.numbers), batch_size=at_once)
+        return jax.lax.map(of_one, (self.problems, self.numbers, self.sights), batch_size=at_once)
 
     def compared(self, differences: Float[Array, "n h w"]) -> Float[Array, "n h w"]:
         """All of them."""
@@ -167,6 +175,17 @@ def _stack(group: Sequence[TechniqueProblem], among: Sequence[TechniqueProblem],
             atlases.pop(next(iter(atlases)))
     atlas, _ = atlases[tuple(maps)]
     return Stack.of(group, atlas, [numbers[id(problem.shadow_map)] for problem in group])
+
+
+def _distinct[T](things: Sequence[T]) -> tuple[list[T], list[int]]:
+    """The objects that are not the same, and the place of each of `things` among them."""
+    found = {id(each): each for each in things}
+    places = {key: place for place, key in enumerate(found)}
+    return list(found.values()), [places[id(each)] for each in things]
+
+
+def _without_depths(problems: Sequence[TechniqueProblem]) -> list[TechniqueProblem]:
+    return [eqx.tree_at(lambda p: p.shadow_map.depth, problem, None) for problem in problems]
 
 
 def _fits(shadow_map: Any, like: Any) -> bool:
