@@ -23,7 +23,19 @@ OF_SETTINGS = {*sys.stdlib_module_names, "annotated_types"}
 # before all of them.
 FOLDERS = {
     "fit": (
-        *("solvers", "problems", "_precision", "_phases", "_solve", "_run", "_profile", "_how", "_front", "_bounds"),
+        *(
+            "solvers",
+            "problems",
+            "_precision",
+            "_phases",
+            "_judge",
+            "_solve",
+            "_run",
+            "_profile",
+            "_how",
+            "_front",
+            "_bounds",
+        ),
         *("_fit", "_train", "_moving_lights", "_shape_steps", "_shape_program", "_shape"),
     ),
     "config": ("sections", "whole", "framing", "reading", "building"),

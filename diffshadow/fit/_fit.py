@@ -10,7 +10,7 @@ import numpy as np
 from .._arithmetic import as_float
 from .._checks import check_instance
 from .._pictures import as_html
-from .._progress import showing
+from .._progress import Update, showing
 from ..shadow import FittableTechnique
 from ._anneal import Anneal
 from ._arrangement import Arrangement
@@ -112,6 +112,7 @@ def fit(
     search: Search | None = None,
     sureness: Sureness | None = None,
     on_step: Callable[[Step], None] | None = None,
+    progress: Update | None = None,
 ) -> FitResult:
     """Fits numbers of a technique, or of an arrangement, so that its visibility comes closest to the reference.
 
@@ -137,8 +138,9 @@ def fit(
         compiled program.
     - `search`, `sureness`: where it looks; and what it finds out about the values near the best.
     - `on_step`: called with every evaluation of the loss, while the fit runs; also with evaluations of a phase that is
-        then repeated with memory for more silhouettes. What it raises ends the fit, and is raised by `fit`. Left out,
-        `diffshadow.setup` decides whether a line shows the steps.
+        then repeated with memory for more silhouettes. What it raises ends the fit, and is raised by `fit`.
+    - `progress`: called with what the fit is at, as text, and with the fraction that is done, none if that is not
+        known. If neither of these two is given, `diffshadow.setup` decides whether a line shows it.
 
     **Raises** `ValueError` if there are no parameters, one does not exist, is named twice or has bounds that the
     technique does not allow, another argument is out of its range, no pixel counts, the visibility is not finite or the
@@ -172,11 +174,12 @@ def fit(
         # The program of a step puts a part on each device.
         joint = dataclasses.replace(joint.each(on_host), devices=devices)
     phases = phases_of(joint, fitted.paths, anneal, search.blurs, search.pixels)
-    with showing("fit", unless=on_step is not None) as update:
-        watch = on_step if update is None else shown_steps(update, phases, search.starts, joint.own is not None)
-        watch = _from_offsets(watch, offsets)
+    with showing("fit", unless=on_step is not None or progress is not None) as shown:
+        update, watched = progress or shown, _from_offsets(on_step, offsets)
+        if update is not None:
+            watched = shown_steps(update, phases, search.starts, joint.own is not None, watched)
         judge = Judge(phases[-1].joint.hard(), Parameters.of(parameters))
-        run = Run(parameters, judge, phases, chosen, search.evaluations, watch)
+        run = Run(parameters, judge, phases, chosen, search.evaluations, watched, update)
         with run.reporter:
             path, tried = run.through(spread)
         result = _result(run, path, tried, parameters, sureness)

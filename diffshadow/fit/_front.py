@@ -87,6 +87,7 @@ class _Settings:
     def add(self, values: Values) -> Sides:
         """The errors of `values`, which are evaluated unless they are known."""
         if values not in self.sides:
+            self.run.say(f"front, setting {len(self.sides) + 1}")
             self.sides[values] = self.run.sides(values)
         return self.sides[values]
 

@@ -33,8 +33,11 @@ class Step(NamedTuple):
     start: int = 0
 
 
-def shown_steps(update: Update, phases: Sequence[Any], starts: int, is_own_loss: bool) -> Callable[[Step], None]:
-    """Tells `update` of each step: of `phases`, those that all of several `starts` run have no known number."""
+def shown_steps(
+    update: Update, phases: Sequence[Any], starts: int, is_own_loss: bool, on_step: Callable[[Step], None] | None
+) -> Callable[[Step], None]:
+    """Passes each step to `on_step`, and says it to `update`. Of `phases`, those that all of several `starts` run have
+    no known number."""
     count = len(phases) * starts if starts == 1 or all(phase.shared for phase in phases) else None
 
     def show(step: Step) -> None:
@@ -42,6 +45,8 @@ def shown_steps(update: Update, phases: Sequence[Any], starts: int, is_own_loss:
         error = f"loss {step.loss:.5g}" if is_own_loss else f"RMSE {max(step.loss, 0) ** 0.5:.5f}"
         done = None if count is None else (step.start * len(phases) + step.phase) / count
         update(f"{start}phase {step.phase + 1} of {len(phases)}, step {step.step}, {error}", done)
+        if on_step is not None:
+            on_step(step)
 
     return show
 

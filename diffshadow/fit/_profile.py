@@ -85,6 +85,7 @@ class Profiler:
         self.run, self.parameters = run, parameters
         self.best = Trial(values, run.error(values))
         self._trials: dict[tuple[int, Bound], list[Trial]] = {}
+        self._count = 0
 
     def profiles(self, within: Sequence[float]) -> list[Profile]:
         """The profile of each parameter, with an interval for each of the fractions `within`."""
@@ -171,6 +172,8 @@ class Profiler:
 
     def _trial(self, near: Trial, index: int, value: float, limit: float, kept: Collection[int]) -> Trial:
         """The best with the parameter at `value`, from the values of a trial that is near."""
+        self._count += 1
+        self.run.say(f"how sure, trial {self._count}: {self.parameters[index].name} = {value:.4g}")
         moved = (*near.values[:index], value, *near.values[index + 1 :])
         tolerance = limit / max(self.best.error, _MIN_ERROR) - 1
         again = self.run.refitted(moved, (*kept, index), least_gain=_SETTLED * tolerance)

@@ -11,6 +11,7 @@ import optimistix as optx
 from jaxtyping import Array, Float
 
 from .._arithmetic import as_float, as_int
+from .._progress import Update
 from .._types import HostArray
 from ._history import Reporter, Step
 from ._judge import Judge
@@ -108,7 +109,10 @@ class Run:
     - `phases`: whose memory for silhouettes may grow.
     - `evaluations`: of the error in a search, for each parameter.
     - `history`: every evaluation so far, in order.
+    - `update`: called with what the fit is at, and the fraction done.
     """
+
+    update: Update | None = None
 
     def __init__(
         self,
@@ -118,15 +122,22 @@ class Run:
         solver: Solver,
         evaluations: int,
         on_step: Callable[[Step], None] | None,
+        update: Update | None,
     ):
         self.names, self.parameters = tuple(p.name for p in parameters), judge.parameters
         self.judge, self.phases, self.solver, self.evaluations = judge, phases, solver, evaluations
         self.history: list[Step] = []
+        self.update = update
         self.reporter = Reporter(self.parameters, self.history, on_step)
         self.slopes = np.zeros(len(parameters))
         self.enlargements = 0
         self.seconds_compiling = 0.0
         self._programs: dict[Any, dict[Any, Any]] = {}
+
+    def say(self, detail: str) -> None:
+        """Says what the fit is at, besides its steps."""
+        if self.update is not None:
+            self.update(detail, None)
 
     def through(self, spread: Float[Array, "s p"]) -> tuple[Trajectory, list[Start]]:
         """The best path from `spread` (s, p), and the course of each start where there are several."""

@@ -105,7 +105,13 @@ def test_what_on_step_raises_ends_the_fit_and_the_next_one_is_the_same(known, re
         fit(known, [BIAS, RADIUS], **how, on_step=stop)
     # Nothing of JAX's own report of it.
     assert capfd.readouterr().err == ""
-    assert fit(known, [BIAS, RADIUS], **how).fitted == result.fitted
+    said = []
+    again = fit(
+        known, [BIAS, RADIUS], **how, progress=lambda text, done: said.append((text.partition(", RMSE")[0], done))
+    )
+    assert again.fitted == result.fitted
+    of_three = lambda step: (f"phase {step.phase + 1} of 3, step {step.step}", step.phase / 3)
+    assert said == [of_three(step) for step in again.history]
 
 
 @pytest.mark.exhaustive

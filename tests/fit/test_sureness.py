@@ -75,8 +75,11 @@ def test_errors_of_rounding_count_as_equal():
 # An error within a tenth of the excess is close enough, which is a twentieth of the width; roughness adds to that.
 @pytest.mark.parametrize(("rough", "close"), [(False, 0.05), (True, 0.06)], ids=["exact", "rough"])
 def test_intervals_end_where_the_error_reaches_its_limit(rough, close):
-    bowl = Bowl(rough=rough)
+    bowl, said = Bowl(rough=rough), []
+    bowl.update = lambda text, done: said.append(text)
     profiles = Profiler(bowl, BOUNDS, BEST).profiles([0.05, 0.01])
+    assert said[0] == "how sure, trial 1: a = 2.9"
+    assert len(said) == bowl.refits
     for i, profile in enumerate(profiles):
         assert profile.best == (BEST[i], pytest.approx(LEAST))
         assert [each.within for each in profile.intervals] == [0.01, 0.05]
@@ -179,8 +182,10 @@ def weighted(sides, ratio):
 
 
 def test_a_front_is_what_weighted_sums_make_least():
-    trade = Trade()
+    trade, said = Trade(), []
+    trade.update = lambda text, done: said.append(text)
     front = front_of(trade, (0.5,), 9)
+    assert said == [f"front, setting {number}" for number in range(1, len(trade.tried) + 1)]
     assert len(front) == 9
     shadow, light = ([getattr(point, side) for point in front] for side in ("false_shadow", "false_light"))
     assert shadow == sorted(shadow)

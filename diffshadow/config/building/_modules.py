@@ -20,7 +20,7 @@ from ..framing._meshes import build_mesh as build_mesh
 from ..reading._dump import fit_units
 from ..reading._mistakes import mistakes_at
 from ..sections._fit import FitParameterConfig
-from ..sections._fitted import fit_paths, is_searched
+from ..sections._fitted import fit_paths
 from ..sections._poses import fits_each_intensity, is_pose, pose_of
 from ..whole._preferences import preferences
 from ..whole._schema import Config
@@ -40,8 +40,7 @@ class FitPlan(NamedTuple):
     - `loss`: of the errors of all views and lights, a `fit.Loss` or a user's.
     - `arrangement`: technique, lights and meshes of the scene if lights or meshes are fitted; otherwise none.
     - `blurs`, `starts`: for a fit of lights or meshes, as in `fit.fit`.
-    - `searches`: whether some parameters lay out the map, and are found by a search of `evaluations`, as in `fit.fit`.
-    - `pixels`, `devices`: as for `fit.Search`.
+    - `evaluations`, `pixels`, `devices`: as for `fit.Search`.
     - `truth`: the scene's own values of fitted poses, by name, if the reference is traced.
     - `within`, `prefer`, `tolerance`, `front`: as in `fit.fit`.
     """
@@ -53,7 +52,6 @@ class FitPlan(NamedTuple):
     arrangement: fit.Arrangement | None
     blurs: tuple[float, ...] | None
     starts: int
-    searches: bool
     evaluations: int
     pixels: int
     devices: int
@@ -266,7 +264,6 @@ def build_fit(config: Config, scene: geometry.Scene | None = None) -> FitPlan:
         arrangement,
         config.fit.blurs,
         config.fit.multistart,
-        any(is_searched(config, name) for name in config.fit.parameters),
         config.fit.evaluations,
         config.fit.pixels,
         config.fit.devices,

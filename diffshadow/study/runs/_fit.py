@@ -98,8 +98,9 @@ def fit_technique(config: Config, stages: Stages, on_step: Callable[[fit.Step], 
         drawn = poses.with_references_of(problems, drawn)
     result = solve(problems[: views.seen], plan, config.seed, stages, on_step)
     with stages.stage("measuring"):
-        (before, after), seen = states_of(plan, result, problems, drawn)
-        errors_before, errors_after = (list(map(record.measured, images, drawn)) for images in (before, after))
+        (before, after), seen = states_of(plan, result, problems, drawn, stages)
+        pairs = lambda images: stages.counted("errors of image", list(zip(images, drawn, strict=True)))
+        errors_before, errors_after = ([record.measured(*pair) for pair in pairs(each)] for each in (before, after))
         left = unexplained(fitted_images(views, drawn, after, seen[1], result))
     of_seen = lambda errors: record.combined(errors[: views.seen], drawn[: views.seen])
     said = verdict(config, plan, result, of_seen(errors_before)["rmse"], of_seen(errors_after)["rmse"], left)

@@ -14,6 +14,7 @@ from ..remarks._verdict import Verdict
 from . import _pose as poses
 from . import _record as record
 from ._engine import code_of
+from ._progress import Stages
 from ._setup import visibility_of
 from ._views import Views
 
@@ -94,7 +95,7 @@ States = tuple[list[Drawn], list[Drawn]]
 
 
 def states_of(
-    plan: FitPlan, result: fit.FitResult, problems: Sequence[Any], drawn: list[Drawn]
+    plan: FitPlan, result: fit.FitResult, problems: Sequence[Any], drawn: list[Drawn], stages: Stages
 ) -> tuple[tuple[Images, Images], States]:
     """The images before and after a fit under the hard compare, and the scenes that they show.
 
@@ -110,8 +111,9 @@ def states_of(
     techniques = fit.with_parameters(result.technique, plan.parameters, start), result.technique
     laid_out = [*result.problems, *problems[len(result.problems) :]]
     first, last = (_seen_with(technique, laid_out, drawn) for technique in techniques)
-    images = [[visibility_of(t, each) for each in shown] for t, shown in zip(techniques, (first, last), strict=True)]
-    return (images[0], images[1]), (first, last)
+    before = [visibility_of(techniques[0], each) for each in stages.counted("image before the fit", first)]
+    after = [visibility_of(techniques[1], each) for each in stages.counted("image after the fit", last)]
+    return (before, after), (first, last)
 
 
 def _seen_with(

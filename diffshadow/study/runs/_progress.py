@@ -1,7 +1,7 @@
 """Progress of a run, and how long each of its stages took."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 from rich.console import Console
@@ -18,6 +18,9 @@ from rich.progress import (
 
 # Seconds between updates of a bar.
 _PAUSE = 0.05
+# Seconds of work after which the rest is estimated.
+_KNOWN = 2.0
+_MINUTE = 60.0
 
 
 class Stages:
@@ -63,6 +66,30 @@ class Stages:
         total = None if done is None else 1.0
         detail = ", ".join(filter(None, (self.part, detail)))
         self._progress.update(self._task, description=escape(name), detail=escape(detail), total=total, completed=done)
+
+    def counted[T](self, name: str, items: Sequence[T]) -> Iterator[T]:
+        """The items, one after another. The `part` is the number of each, with about how long it and the rest take.
+
+        **Arguments:** `name`: of an item.
+        """
+        total, began = len(items), 0.0
+        for number, item in enumerate(items, start=1):
+            if number == 2:
+                # The first also compiles.
+                began = time.perf_counter()
+            self.part, seconds = f"{name} {number:,} of {total:,}", time.perf_counter() - began
+            if number > 2 and seconds > _KNOWN:
+                self.part += f", about {duration(seconds / (number - 2) * (total - number + 1))} left"
+            self._progress.update(self._task, detail=escape(self.part))
+            yield item
+        self.part = ""
+
+
+def duration(seconds: float) -> str:
+    """A time in words, in seconds or minutes."""
+    if seconds < 2 * _MINUTE:
+        return f"{max(seconds, 1):.0f} s"
+    return f"{seconds / _MINUTE:.0f} min"
 
 
 @contextmanager

@@ -66,7 +66,7 @@ def save_fit(result: fit.FitResult, folder: str | os.PathLike[str], *, names: Se
         save_picture(result, _plan(result), into, into.resolve().name, stages.seconds)
         return into
     with stages.stage("measuring"):
-        fitted = _fitted(result, into.resolve().name, _names(result, names))
+        fitted = _fitted(result, into.resolve().name, _names(result, names), stages)
     write_fit(into, fitted, stages.seconds)
     return into
 
@@ -81,11 +81,11 @@ def _names(result: fit.FitResult, names: Sequence[str] | None) -> list[str]:
     return named
 
 
-def _fitted(result: fit.FitResult, name: str, keys: Sequence[str]) -> FittedRun:
+def _fitted(result: fit.FitResult, name: str, keys: Sequence[str], stages: Stages) -> FittedRun:
     """The fit as it is written."""
     plan = _plan(result)
     drawn = [_drawn(problem, key, result) for problem, key in zip(result.problems, keys, strict=True)]
-    images, seen = states_of(plan, result, result.problems, drawn)
+    images, seen = states_of(plan, result, result.problems, drawn, stages)
     if result.arrangement is not None:
         # Where lights and meshes truly are is not known, so the reference is shown where the fit leaves them.
         drawn = seen[1]
@@ -123,7 +123,6 @@ def _plan(result: fit.FitResult) -> FitPlan:
         arrangement=None if moving is None else moving.arrangement,
         blurs=None,
         starts=max(len(result.starts), 1),
-        searches=False,
         evaluations=1,
         pixels=1,
         devices=1,

@@ -46,13 +46,6 @@ def solve(
 ) -> fit.FitResult:
     """Fits the parameters of `plan`; `on_step` as in `fit.fit`. Its times are added to `stages`."""
     stages.show("compiling")
-    show = _shown(stages, plan)
-
-    def watched(step: fit.Step) -> None:
-        show(step)
-        if on_step is not None:
-            on_step(step)
-
     result = fit.fit(
         problems,
         plan.parameters,
@@ -61,21 +54,8 @@ def solve(
         loss=plan.loss,
         search=fit.Search(plan.starts, seed, plan.blurs, plan.evaluations, pixels=plan.pixels, devices=plan.devices),
         sureness=fit.Sureness(plan.within, plan.prefer, plan.tolerance, plan.front),
-        on_step=watched,
+        on_step=on_step,
+        progress=lambda detail, done: stages.show("fitting", detail, done),
     )
     stages.seconds |= {"compiling": result.seconds_compiling, "fitting": result.seconds_running}
     return result
-
-
-def _shown(stages: Stages, plan: FitPlan) -> Callable[[fit.Step], None]:
-    phases = None if plan.arrangement is not None or plan.searches else plan.anneal.phases
-
-    def show(step: fit.Step) -> None:
-        at = f"phase {step.phase + 1}" + (f" of {phases}" if phases else "")
-        start = f"start {step.start + 1} of {plan.starts}, " if plan.starts > 1 else ""
-        error = f"RMSE {max(step.loss, 0) ** 0.5:.5f}" if isinstance(plan.loss, fit.Loss) else f"loss {step.loss:.5g}"
-        detail = f"{start}{at}, step {step.step}, {error}"
-        fraction = step.phase / phases if phases else (step.start / plan.starts if plan.starts > 1 else None)
-        stages.show("fitting", detail, fraction)
-
-    return show

@@ -108,11 +108,9 @@ def _drawn_in_turn(
 ) -> list[DrawnView]:
     """Draws `views` of a fit of `config`, and shows how many there are."""
     found, kept = [], _Kept({}, {})
-    for number, view in enumerate(views, start=1):
-        stages.part = f"{what} {number:,} of {len(views):,}"
+    for view in stages.counted(what, views):
         is_alike = view.config.shadow_map == config.shadow_map
         found.append(_drawn(view, technique if is_alike else None, kept, stages))
-    stages.part = ""
     return found
 
 

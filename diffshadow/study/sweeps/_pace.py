@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from rich.console import Console
 
 from ..pages import _table as table
+from ..runs._progress import duration
 
-_MINUTE = 60.0
 # Stages whose programs and results are kept for the runs that follow.
 _ONCE = ("loading", "drawing", "looking for light", "tracing reference")
 
@@ -53,10 +53,3 @@ class Pace:
 
     def _print(self, line: str) -> None:
         table.print_lines(self._console, [line])
-
-
-def duration(seconds: float) -> str:
-    """A time in words, in seconds or minutes."""
-    if seconds < 2 * _MINUTE:
-        return f"{max(seconds, 1):.0f} s"
-    return f"{seconds / _MINUTE:.0f} min"
