@@ -1,5 +1,8 @@
 """The bias that holds over many scenes with a filter."""
 
+import numpy as np
+
+from .._arithmetic import concrete
 from ..settings import rules
 from .biases import AbstractBias, Bias, ReceiverPlane
 from .filters import AbstractFilter
@@ -13,8 +16,8 @@ def bias_for(filter: AbstractFilter, plane: AbstractBias | None = None) -> Bias:
 
     **Arguments:**
 
-    - `plane`: a `ReceiverPlane` that is a part of the bias, which then needs less; or an `AdaptiveBias`, which needs no
-        other.
+    - `plane`: a `ReceiverPlane()` that is a part of the bias, which then needs less. One with numbers of its own, which
+        was not measured, or an `AdaptiveBias` has no bias beside it.
 
     **Raises** `ValueError` for a filter with a traced radius.
 
@@ -26,7 +29,7 @@ def bias_for(filter: AbstractFilter, plane: AbstractBias | None = None) -> Bias:
         f"{bias.constant.value:.1f} and {bias.slope.value:.1f} texels"  # 8.9 and 2.1 texels
         ```
     """
-    if plane is not None and not isinstance(plane, ReceiverPlane):
+    if plane is not None and not _is_measured(plane):
         return Bias(plane=plane)
     reach = filter.reach
     if reach is None and issubclass(filter.settings, rules.MEASURED):
@@ -36,3 +39,10 @@ def bias_for(filter: AbstractFilter, plane: AbstractBias | None = None) -> Bias:
         )
     constant, slope = rules.bias_of(filter.settings, reach or 0.0, plane=plane is not None)
     return Bias(constant, slope, plane=plane)
+
+
+def _is_measured(plane: AbstractBias) -> bool:
+    """Whether rules were measured with such a plane."""
+    if not isinstance(plane, ReceiverPlane):
+        return False
+    return plane.limit is None and plane.deepening is None and not np.any(concrete(plane.fudge))

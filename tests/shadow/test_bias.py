@@ -559,7 +559,8 @@ def test_the_bias_for_a_filter_is_that_of_a_configuration():
     expected = (rules.plane_constant_for(2.5), 0)
     np.testing.assert_allclose((beside.constant.value, beside.slope.value), expected, rtol=1e-6)
     assert isinstance(beside.plane, shadow.ReceiverPlane)
-    assert float(shadow.bias_for(shadow.Bilinear(), shadow.AdaptiveBias()).constant.value) == 0
+    for plane in (shadow.AdaptiveBias(), shadow.ReceiverPlane(deepening=1.0), shadow.ReceiverPlane(fudge=1.0)):
+        assert float(shadow.bias_for(shadow.Bilinear(), plane).constant.value) == 0
     little = shadow.bias_for(shadow.VarianceShadowMap(2.0))
     assert (float(little.constant.value), float(little.slope.value)) == (0.5, 0.5)
     with pytest.raises(ValueError, match="whose radius is traced"):
