@@ -4,6 +4,7 @@ import dataclasses
 from functools import cached_property
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -12,8 +13,9 @@ from ._parameters import Parameters
 from ._phases import Phase, enlarged
 from .problems import Atlases, Joint, Losses, Samples, Together, stacked_order
 
-# So many images are judged by a program of their own, which takes two seconds to compile.
-_MANY = 64
+# So many images are judged by a program of their own, which takes two seconds to compile and copies all of them, unless
+# the copies take more bytes.
+_MANY, _MAX_COPIED = 64, 1 << 30
 
 
 class _Stacks(NamedTuple):
@@ -106,7 +108,16 @@ class Judge:
     def _is_stacked(self) -> bool:
         """Whether one program evaluates all images, rather than programs that all else shares evaluate each."""
         joint = self.joint
-        return not joint.moves and joint.own is None and (joint.devices > 1 or len(joint.problems) >= _MANY)
+        if joint.moves or joint.own is not None:
+            return False
+        return joint.devices > 1 or (len(joint.problems) >= _MANY and self._copied <= _MAX_COPIED)
+
+    @cached_property
+    def _copied(self) -> int:
+        """Bytes of all images that stacks copy."""
+        surfaces = {id(problem.surface): problem.surface for problem in self.joint.problems}
+        images = [(problem.reference, problem.mask) for problem in self.joint.problems]
+        return sum(leaf.nbytes for leaf in jax.tree.leaves((surfaces, images)))
 
     def _stacked(self, pixels: int | None = None) -> _Stacks:
         """All images as stacks, or about so many `pixels` of them. They are kept until maps are drawn again."""

@@ -286,6 +286,8 @@ def test_a_judge_finds_the_same_of_all_images_by_one_program(waved, small, monke
         losses = judge.losses(values, judge.loss)
         found.append([*losses.errors.tolist(), float(losses.compared), float(losses.whole), *judge.sides(values)])
     assert judge._stacked().joint.problems[0].sights.tolist() == [0, 1, 0]
+    # 54 bytes for each pixel of three surfaces, and 5 for each of four images.
+    assert judge._copied == 54 * (2 * 64 + 48) * 64 + 5 * (3 * 64 + 48) * 64
     assert len(set(np.round(found[0][:4], 5))) == 4
     assert found[1] == pytest.approx(found[0], rel=1e-5)
 
