@@ -69,10 +69,7 @@ def cached_arrays(
     arrays = _on_host(compute())
     try:
         _write(entry, arrays)
-        _added[where] = _added.get(where, _BETWEEN) + entry.stat().st_size
-        if _added[where] > _BETWEEN:
-            prune_cache(where)
-            _added[where] = 0
+        _has_grown(where, entry.stat().st_size)
     except (OSError, FileError) as error:
         _warn_of_no_cache(where, error)
     return arrays
@@ -95,7 +92,7 @@ def keep_content(key: str, content: bytes) -> None:
             entry.parent.mkdir(parents=True, exist_ok=True)
             with atomic_path(entry) as temporary:
                 temporary.write_bytes(content)
-            prune_cache(entry.parent)
+            _has_grown(entry.parent, len(content))
 
 
 def cache_folder() -> Path:
@@ -225,6 +222,14 @@ def _tagged(update: Callable[[bytes], None], tag: str, data: bytes) -> None:
 
 def _on_host(arrays: Mapping[str, Any]) -> dict[str, HostArray]:
     return {name: np.asarray(array) for name, array in arrays.items()}
+
+
+def _has_grown(folder: Path, size: int) -> None:
+    """Prunes `folder` from time to time, given the `size` of a new entry in bytes."""
+    _added[folder] = _added.get(folder, _BETWEEN) + size
+    if _added[folder] > _BETWEEN:
+        prune_cache(folder)
+        _added[folder] = 0
 
 
 def _read(entry: Path) -> dict[str, HostArray] | None:

@@ -34,13 +34,33 @@ def key_parts(
 
     **Raises** `ValueError` as `trace_visibility` does for several lights, `samples`, `sampler` and `supersampling`.
     """
-    check_sampling(samples, sampler, supersampling, blockers)
-    light = scene.light
-    of_light = (int(samples), str(sampler), int(seed)) if light.has_size else (1, "centre", 0)
-    sampling = (*of_light, int(supersampling))
-    mesh = scene.mesh
-    triangles = (np.asarray(mesh.vertices), np.asarray(mesh.faces), blocking_faces(scene, blockers), *_cutouts(mesh))
-    return ("reference", _ALGORITHM, sampling, triangles, _fields(scene.camera), _fields(light))
+    return KeyedScene(scene).key_parts(samples, sampler, seed, supersampling, blockers)
+
+
+class KeyedScene:
+    """A scene with one light whose parts of keys are found once, for many seeds."""
+
+    def __init__(self, scene: Scene):
+        light, mesh = scene.light, scene.mesh
+        self._scene = scene
+        self._mesh = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+        self._cutouts = _cutouts(mesh)
+        self._camera, self._light, self._has_size = _fields(scene.camera), _fields(light), light.has_size
+
+    def key_parts(
+        self,
+        samples: int = Settings.samples,
+        sampler: Sampler = Settings.sampler,
+        seed: int = 0,
+        supersampling: int = Settings.supersampling,
+        blockers: Blockers = Settings.blockers,
+    ) -> tuple[Any, ...]:
+        """The function `key_parts` of the scene."""
+        check_sampling(samples, sampler, supersampling, blockers)
+        of_light = (int(samples), str(sampler), int(seed)) if self._has_size else (1, "centre", 0)
+        sampling = (*of_light, int(supersampling))
+        triangles = (*self._mesh, blocking_faces(self._scene, blockers), *self._cutouts)
+        return ("reference", _ALGORITHM, sampling, triangles, self._camera, self._light)
 
 
 def _cutouts(mesh: Mesh) -> tuple[HostArray, ...]:

@@ -719,16 +719,16 @@ def test_run_that_kills_its_worker_is_distinguished_from_the_others(quick, clust
     from distributed import KilledWorker
 
     from diffshadow.study.sweeps import _apart as sweep_apart
-    from diffshadow.study.sweeps._work import work
+    from diffshadow.study.sweeps._work import do
 
     sweep = load_sweep(Path("s.yaml"))
 
-    def deadly(batch):
-        if sweep.runs[5].id in [run.id for run in batch.runs]:
+    def deadly(batch, run):
+        if run.id == sweep.runs[5].id:
             raise KilledWorker("work", types.SimpleNamespace(address="tcp://there"), 3)
-        return work(batch)
+        return do(batch, run)
 
-    monkeypatch.setattr(sweep_apart, "work", deadly)
+    monkeypatch.setattr(sweep_apart, "do", deadly)
     monkeypatch.setattr("diffshadow.study.sweeps._run._BATCHES_PER_WORKER", 2)
     folder = study.run_sweep(sweep, console=Console(quiet=True), scheduler=cluster)
     columns = table(folder)

@@ -66,6 +66,8 @@ def fit_units(config: Config) -> dict[str, str]:
 
 def _plain(value: Any) -> Any:
     """`value` as dicts, lists and scalars, without the keys that have no value."""
+    if isinstance(value, str | int | float):
+        return value
     if isinstance(value, Section):
         keys = keys_of(type(value))
         return {key: _plain(inner) for key in keys if (inner := getattr(value, key)) is not None}

@@ -86,9 +86,10 @@ def follow(location: Sequence[str | int]) -> FollowedPath:
     return FollowedPath(path, slot, section, variants)
 
 
-def keys_of(section: type[Section]) -> list[str]:
+@functools.cache
+def keys_of(section: type[Section]) -> tuple[str, ...]:
     """The keys of `section`, `type` first."""
-    return sorted(section.model_fields, key=lambda key: key != "type")
+    return tuple(sorted(section.model_fields, key=lambda key: key != "type"))
 
 
 def slot_of(field: FieldInfo) -> Slot:

@@ -5,7 +5,7 @@ import itertools
 import math
 import operator
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Annotated, Any, TypeGuard, get_args, get_origin
 
 from pydantic import (
@@ -86,7 +86,7 @@ class Section(BaseModel, Settings):
             faults += [_again(details) for details in error.errors(include_url=False)]
         else:
             if not faults:
-                found = [*_beyond_single_precision(section), *_too_short(section), *section.faults()]
+                found = [*_beyond_single_precision(vars(section).items()), *_too_short(section), *section.faults()]
                 faults += [InitErrorDetails(type=what, loc=key, input=None) for key, what in found]
             if not faults:
                 return section
@@ -97,21 +97,21 @@ class Section(BaseModel, Settings):
 _MOST, _LEAST = math.ldexp(2 - 2.0**-23, 127), math.ldexp(1, -126)
 
 
-def _beyond_single_precision(value: Any, path: tuple[str | int, ...] = ()) -> Iterator[Conflict]:
-    """A fault for each number in `value` that float32 cannot represent. Inner sections check themselves."""
-    if isinstance(value, Section) and not path:
-        entries: Any = ((key, getattr(value, key)) for key in type(value).model_fields)
-    elif isinstance(value, Mapping):
-        entries = value.items()
-    elif isinstance(value, list | tuple):
-        entries = enumerate(value)
-    else:
-        if isinstance(value, int | float) and value and not _LEAST <= abs(value) <= _MOST:
-            expected = f"0, or a magnitude from {_LEAST:.2g} to {_MOST:.2g}, the range of single precision"
-            yield path, fault(f"is {show(value)}", expected, "check its exponent")
-        return
-    for step, entry in entries:
-        yield from _beyond_single_precision(entry, (*path, step))
+def _beyond_single_precision(
+    entries: Iterable[tuple[str | int, Any]], path: tuple[str | int, ...] = ()
+) -> Iterator[Conflict]:
+    """A fault for each number in `entries` that float32 cannot represent. Inner sections check themselves."""
+    # Each run of a sweep has a hundred entries.
+    for step, value in entries:
+        kind = type(value)
+        if kind is float or kind is int:
+            if value and not _LEAST <= abs(value) <= _MOST:
+                expected = f"0, or a magnitude from {_LEAST:.2g} to {_MOST:.2g}, the range of single precision"
+                yield (*path, step), fault(f"is {show(value)}", expected, "check its exponent")
+        elif kind is tuple or kind is list:
+            yield from _beyond_single_precision(enumerate(value), (*path, step))
+        elif kind is dict:
+            yield from _beyond_single_precision(value.items(), (*path, step))
 
 
 @functools.cache
@@ -124,12 +124,22 @@ def _lists(section: type[Section]) -> dict[str, tuple[Any, tuple[Any, ...]]]:
 
 def _too_short(section: Section) -> Iterator[Conflict]:
     """A fault for each vector that is too short."""
-    for key, (_, marks) in _lists(type(section)).items():
-        least = next((mark.length for mark in marks if isinstance(mark, LongerThan)), 0)
+    for key, (least, example) in _lengths(type(section)).items():
         vector = getattr(section, key)
-        if vector is not None and least and math.hypot(*vector) < least:
-            mend = f"give a vector such as {next(mark.example for mark in marks if isinstance(mark, Form))}"
+        if vector is not None and math.hypot(*vector) < least:
+            mend = f"give a vector such as {example}"
             yield (key,), fault(f"is {show(vector)}", f"a vector at least {least:g} long", mend)
+
+
+@functools.cache
+def _lengths(section: type[Section]) -> dict[str, tuple[float, Any]]:
+    """The least length of each vector that has one, and an example of it."""
+    found = {}
+    for key, (_, marks) in _lists(section).items():
+        for mark in marks:
+            if isinstance(mark, LongerThan) and mark.length:
+                found[key] = mark.length, next(form.example for form in marks if isinstance(form, Form))
+    return found
 
 
 def _out_of_order(section: type[Section], data: Mapping[str, Any]) -> Iterator[Conflict]:

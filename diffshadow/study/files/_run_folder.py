@@ -105,8 +105,10 @@ def write_whole(folder: Path, write: Callable[[Path], None]) -> None:
     the folder are moved to the new one. If `write` raises, its files are removed. A link to a folder remains a link.
     """
     folder = folder.resolve() if folder.is_dir() else folder
-    made = [level for level in folder.parents if not level.exists()]
-    folder.parent.mkdir(parents=True, exist_ok=True)
+    made: list[Path] = []
+    if not folder.parent.is_dir():
+        made = [level for level in folder.parents if not level.exists()]
+        folder.parent.mkdir(parents=True, exist_ok=True)
     token = secrets.token_hex(_TOKEN_BYTES)
     draft, old = (folder.with_name(f".{folder.name}-{token}{end}") for end in ("", _OLD))
     try:

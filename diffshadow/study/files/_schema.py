@@ -63,8 +63,12 @@ def read_json(file: Path) -> Any:
 
 def write_json(file: Path, value: Any) -> None:
     """Writes `value` to a JSON file, as `read_json` reads it."""
-    text = json.dumps(_plain(value), indent=2, ensure_ascii=False, allow_nan=False)
-    file.write_text(text + "\n", encoding="utf-8")
+    file.write_bytes(json_of(_plain(value)))
+
+
+def json_of(stored: Any) -> bytes:
+    """The content of a JSON file with what `as_stored` returned."""
+    return (json.dumps(stored, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode()
 
 
 def _plain(value: Any) -> Any:

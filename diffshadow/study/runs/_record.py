@@ -6,7 +6,7 @@ import math
 import os
 import platform
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from ... import metrics, shadow
 from ...config import CONFIG_FILE, FITTED_FILE, Config, dump_resolved, with_fitted
 from .._drawn import Drawn
 from ..files._run_folder import RESULT
-from ..files._schema import as_stored, write_json
+from ..files._schema import as_stored, json_of
 from ..files._stored import ARRAYS
 
 SCHEMA_VERSION = 1
@@ -123,15 +123,26 @@ def write_config(folder: Path, config: Config) -> None:
 
 
 def write_fitted(folder: Path, config: Config, values: Mapping[str, float]) -> None:
-    """Writes `fitted.yaml`: `config` with the numbers that were fitted. No keys state where lights and meshes moved, so
-    a fit of these has no such file."""
-    if not config.moves:
-        write_yaml(folder / FITTED_FILE, with_fitted(config.named_with("-fitted"), values))
+    """Writes `fitted.yaml`, if the fit has such a file."""
+    fitted = fitted_config(config, values)
+    if fitted is not None:
+        write_yaml(folder / FITTED_FILE, fitted)
+
+
+def fitted_config(config: Config, values: Mapping[str, float]) -> Config | None:
+    """The content of `fitted.yaml`: `config` with the numbers that were fitted. No keys state where lights and meshes
+    moved, so a fit of these has no such file."""
+    return None if config.moves else with_fitted(config.named_with("-fitted"), values)
 
 
 def write_yaml(file: Path, config: Config) -> None:
     """Writes `config` with all defaults."""
-    file.write_text(dump_resolved(config), encoding="utf-8", errors="backslashreplace")
+    file.write_bytes(yaml_of(config))
+
+
+def yaml_of(config: Config) -> bytes:
+    """The content of a YAML file with all of `config`."""
+    return dump_resolved(config).encode("utf-8", errors="backslashreplace")
 
 
 def write_arrays(folder: Path, arrays: Mapping[str, Any]) -> None:
@@ -141,5 +152,10 @@ def write_arrays(folder: Path, arrays: Mapping[str, Any]) -> None:
 
 def write_result(folder: Path, record: Mapping[str, Any]) -> None:
     """Writes `result.json`. Call it last, since it lists all other files."""
-    files = sorted([*(entry.name for entry in folder.iterdir()), RESULT])
-    write_json(folder / RESULT, as_stored({"schema_version": SCHEMA_VERSION, **record, "files": files}))
+    (folder / RESULT).write_bytes(result_of(record, (entry.name for entry in folder.iterdir())))
+
+
+def result_of(record: Mapping[str, Any], others: Iterable[str]) -> bytes:
+    """The content of `result.json`. It lists itself and the names of the `others` in its folder."""
+    files = sorted([*others, RESULT])
+    return json_of(as_stored({"schema_version": SCHEMA_VERSION, **record, "files": files}))

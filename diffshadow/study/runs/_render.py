@@ -26,16 +26,13 @@ SUFFIX = "-render"
 
 
 class Rendered(NamedTuple):
-    """A finished render: the scene as drawn; visibility, errors and figures of aliasing for each light; and remarks on
-    the scene."""
+    """A finished render: the scene as drawn, and visibility and errors for each light."""
 
     config: Config
     technique: shadow.AbstractTechnique
     drawn: list[Drawn]
     visibility: list[Float32[HostArray, "h w"]]
     errors: list[dict[str, float]]
-    aliasing: list[dict[str, dict[str, float]] | None]
-    remarks: list[str]
 
 
 def run_render(config: Config, *, console: Console, debug: bool = False) -> Path:
@@ -54,11 +51,12 @@ def run_render(config: Config, *, console: Console, debug: bool = False) -> Path
         loaded, technique = load(config, stages), build_technique(config, fitting=False)
         rendered = render_drawn(config, technique, draw(config, loaded, technique, stages), stages)
         with stages.stage("writing"):
-            measured = write_render(folder, rendered, stages.seconds, debug)
+            result = write_render(folder, rendered, stages.seconds, debug)
+    measured = result["metrics"]
     lights = {light["light"]: light["errors"] for light in measured["lights"]}
     table.print_errors(console, config.name, measured["errors"], lights)
     table.print_lines(console, [table.noise_text(record.noise(rendered.drawn))])
-    table.print_lines(console, rendered.remarks, warn=True)
+    table.print_lines(console, result["warnings"], warn=True)
     return folder
 
 
@@ -67,23 +65,26 @@ def render_drawn(config: Config, technique: shadow.AbstractTechnique, drawn: lis
     with stages.stage("measuring"):
         visibility = [visibility_of(technique, each) for each in drawn]
         errors = [record.measured(image, each) for image, each in zip(visibility, drawn, strict=True)]
-        aliasing = [record.aliasing(technique, each) for each in drawn]
-    scenes = [each.scene for each in drawn]
-    remarks = [
-        *drawn[0].remarks,
-        *scene_remarks(config, technique, scenes, drawn[0].surface),
-        *layout_remarks(technique, drawn),
-        *reference_remarks(config, drawn),
-    ]
-    return Rendered(config, technique, drawn, visibility, errors, aliasing, remarks)
+    return Rendered(config, technique, drawn, visibility, errors)
 
 
 def write_render(folder: Path, rendered: Rendered, seconds: dict[str, float], debug: bool = False) -> dict[str, Any]:
-    """Writes the run's folder; `seconds` are the times of its stages. **Returns** the metrics of its result."""
+    """Writes the run's folder; `seconds` are the times of its stages. **Returns** its result."""
     shaded = _shaded(rendered)
     result = _result(folder, rendered, shaded, seconds)
     write_whole(folder, lambda draft: _write(draft, rendered, shaded, result, debug))
-    return result["metrics"]
+    return result
+
+
+def _remarks(rendered: Rendered) -> list[str]:
+    """Remarks on the scene, its layout and its reference."""
+    config, technique, drawn = rendered.config, rendered.technique, rendered.drawn
+    return [
+        *drawn[0].remarks,
+        *scene_remarks(config, technique, [each.scene for each in drawn], drawn[0].surface),
+        *layout_remarks(technique, drawn),
+        *reference_remarks(config, drawn),
+    ]
 
 
 def _shaded(rendered: Rendered) -> Pictures:
@@ -122,6 +123,7 @@ def _write(draft: Path, rendered: Rendered, shaded: Pictures, result: dict[str, 
 
 def _result(folder: Path, rendered: Rendered, shaded: Pictures, seconds: dict[str, float]) -> dict[str, Any]:
     config, drawn, errors = rendered.config, rendered.drawn, rendered.errors
+    aliasing = [record.aliasing(rendered.technique, each) for each in drawn]
     perceived = perceptual_error(shaded["shaded_visibility"], shaded["shaded_reference"], drawn)
     return {
         "name": config.name,
@@ -140,10 +142,10 @@ def _result(folder: Path, rendered: Rendered, shaded: Pictures, seconds: dict[st
                     "reference_noise_floor": each.noise_floor,
                     "pixels": each.pixels,
                 }
-                for each, e, extents in zip(drawn, errors, rendered.aliasing, strict=True)
+                for each, e, extents in zip(drawn, errors, aliasing, strict=True)
             ],
         },
-        "warnings": rendered.remarks,
+        "warnings": _remarks(rendered),
         "seconds": {name: round(s, 3) for name, s in seconds.items()},
         "versions": record.versions(),
         "seed": config.seed,

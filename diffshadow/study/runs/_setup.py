@@ -234,23 +234,23 @@ def trace(
     return reference.Reference(**{**arrays, "samples": int(arrays["samples"])})  # type: ignore[arg-type]
 
 
-def lit_scenes(config: Config, stages: Stages) -> list[geometry.Scene]:
+def keyed_scenes(config: Config, stages: Stages) -> list[reference.KeyedScene]:
     """The scene of `config` under each of its lights alone; none if it cannot be built."""
     try:
         scene = load(config, stages).scene
-        return [scene.lit_by(i) for i in range(len(scene.lights))]
+        return [reference.KeyedScene(scene.lit_by(i)) for i in range(len(scene.lights))]
     except (ConfigError, ValueError, OSError):
         # The run reports it.
         return []
 
 
-def keys_of_references(config: Config, lit: Sequence[geometry.Scene]) -> list[str]:
-    """The keys in the cache of the references that are traced for `config`, one for each of its `lit_scenes`; none if
+def keys_of_references(config: Config, scenes: Sequence[reference.KeyedScene]) -> list[str]:
+    """The keys in the cache of the references that are traced for `config`, one for each of its `keyed_scenes`; none if
     they are read from a file."""
     if not isinstance(config.reference, TracedReference | PictureReference):
         return []
     how = config.reference.how(config.seed)
-    return [io.cache_key(reference.key_parts(each, **how)) for each in lit]
+    return [io.cache_key(each.key_parts(**how)) for each in scenes]
 
 
 def _error(config: Config, path: tuple[str | int, ...], what: str) -> ConfigError:

@@ -1,10 +1,11 @@
 """Runs on a worker that shares no files with the sweep's process.
 
-A batch takes along copies of its inputs, which are known by a hash of their content. The worker writes its runs to a
-folder of its own, and returns the files in it. Their text names paths as the sweep's process does: the worker's folder
-has the sweep's path below a prefix, which is cut out of all that is returned.
+A batch takes along copies of its inputs, which are known by a hash of their content. The worker returns the files of
+its runs. Figures and limits go through a folder of the worker's own, which has the sweep's path below a prefix. The
+prefix is cut out of all that is returned, so that text names paths as the sweep's process does.
 """
 
+import functools
 import importlib.metadata
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -13,8 +14,9 @@ from typing import Any, NamedTuple
 from ... import io
 from ..._memory import collect_rarely
 from ..._xla import use_all_cores
-from ..files._run_folder import remove, write_whole
-from ._work import FIGURES, RUNS, Batch, Outcome, work
+from ...config import SweepRun
+from ..files._run_folder import remove
+from ._work import FIGURES, RUNS, Batch, Outcome, do, files_of, write_files
 
 PACKAGE = "diffshadow"
 # The folder of copies of input files, in the worker's own.
@@ -39,7 +41,7 @@ def work_apart(
     references: Mapping[str, bytes],
     missing: Sequence[str],
 ) -> tuple[list[Returned], dict[str, bytes]]:
-    """`work` in a worker process that is set up as the command is.
+    """Does the runs of a batch, in a worker process that is set up as the command is.
 
     **Arguments:**
 
@@ -55,9 +57,8 @@ def work_apart(
     from distributed import get_worker
     from distributed.protocol.pickle import loads
 
-    found = importlib.metadata.version(PACKAGE)
-    if found != version:
-        raise WrongVersionError(found)
+    if own_version() != version:
+        raise WrongVersionError(own_version())
     use_all_cores()
     collect_rarely()
     io.keep_compiled_programs()
@@ -69,9 +70,15 @@ def work_apart(
     folder = Path(f"{prefix}{batch.folder}")
     folder.mkdir(parents=True, exist_ok=True)
     with io.reading_copies({path: copies[hash] for path, hash in hashes.items()}):
-        outcomes = work(batch._replace(folder=str(folder)))
+        returned = [_done(batch._replace(folder=str(folder)), run, str(prefix)) for run in batch.runs]
     traced = {key: content for key in missing if (content := io.cached_content(key)) is not None}
-    return [_returned(folder, each, str(prefix)) for each in outcomes], traced
+    return returned, traced
+
+
+@functools.cache
+def own_version() -> str:
+    """The version of this package."""
+    return importlib.metadata.version(PACKAGE)
 
 
 def write_returned(batch: Batch, returned: Returned) -> None:
@@ -81,14 +88,7 @@ def write_returned(batch: Batch, returned: Returned) -> None:
         above, folder, file = Path(name).parts
         folders.setdefault(Path(batch.folder) / above / folder, {})[file] = content
     for folder, files in folders.items():
-
-        def write(draft: Path, files: Mapping[str, bytes] = files) -> None:
-            for name, content in files.items():
-                (draft / name).write_bytes(content)
-
-        if not folder.is_dir():
-            remove(folder)
-        write_whole(folder, write)
+        write_files(folder, files)
 
 
 def _copied(file: Path, content: bytes) -> Path:
@@ -99,12 +99,16 @@ def _copied(file: Path, content: bytes) -> Path:
     return file
 
 
-def _returned(folder: Path, outcome: Outcome, prefix: str) -> Returned:
-    """The run with its files, which are removed here."""
-    files: dict[str, bytes] = {}
-    for place in (folder / RUNS / outcome.id, *sorted((folder / FIGURES).glob(f"{outcome.id}*"))):
+def _done(batch: Batch, run: SweepRun, prefix: str) -> Returned:
+    """Does a run. Its figures are removed here."""
+    outcome = do(batch, run)
+    error: Any = outcome.error and outcome.error.replace(prefix, "")
+    outcome = outcome._replace(error=error)
+    folder = Path(batch.folder)
+    own = files_of(run, outcome, batch.settings.run)
+    files = {f"{RUNS}/{run.id}/{name}": content for name, content in own.items()}
+    for place in sorted((folder / FIGURES).glob(f"{run.id}*")) if batch.settings.figures else ():
         for file in sorted(place.iterdir()):
             files[str(file.relative_to(folder))] = file.read_bytes().replace(prefix.encode(), b"")
         remove(place)
-    error: Any = outcome.error and outcome.error.replace(prefix, "")
-    return Returned(outcome._replace(error=error), files)
+    return Returned(outcome, files)

@@ -18,9 +18,9 @@ from rich.console import Console
 
 from ... import io
 from ...config import Config, input_files, user_modules
-from ...geometry import Scene
+from ...reference import KeyedScene
 from ..runs._progress import Stages
-from ..runs._setup import keys_of_references, lit_scenes
+from ..runs._setup import keyed_scenes, keys_of_references
 from ._work import Batch, reference_of
 
 # The most bytes of copies that the cluster keeps for batches to come.
@@ -45,7 +45,7 @@ class Sender:
         self._hashes: dict[tuple[str, int, int], str] = {}
         self._keys: dict[str, list[str]] = {}
         self._references: dict[str, str] = {}
-        self._scene: tuple[str, list[Scene]] | None = None
+        self._scene: tuple[str, list[KeyedScene]] | None = None
         self._modules: set[Path] = set()
 
     def of(self, batch: Batch) -> Inputs:
@@ -110,15 +110,15 @@ class Sender:
             for each in (config, *(view.config for view in (*config.views, *config.validation))):
                 text = reference_of(each)
                 if text not in self._keys:
-                    self._keys[text] = keys_of_references(each, self._lit_scenes(each))
+                    self._keys[text] = keys_of_references(each, self._keyed_scenes(each))
                 found += self._keys[text]
         return list(dict.fromkeys(found))
 
-    def _lit_scenes(self, config: Config) -> list[Scene]:
-        """The lit scenes of `config`, built again only if it has another scene than the last."""
+    def _keyed_scenes(self, config: Config) -> list[KeyedScene]:
+        """The scenes of `config`, built again only if it has another scene than the last."""
         text = json.dumps(config.model_dump(mode="json", warnings=False, include={"scene"}))
         if self._scene is None or self._scene[0] != text:
-            self._scene = text, lit_scenes(config, Stages(Console(quiet=True)))
+            self._scene = text, keyed_scenes(config, Stages(Console(quiet=True)))
         return self._scene[1]
 
     def _upload(self, module: Path) -> None:

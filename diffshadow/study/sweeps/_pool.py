@@ -18,7 +18,7 @@ import jax
 from ... import io
 from ..._memory import collect_rarely
 from ..._xla import use_all_cores
-from ._apart import PACKAGE, Returned, work_apart, write_returned
+from ._apart import PACKAGE, Returned, own_version, work_apart, write_returned
 from ._inputs import Sender
 from ._interrupts import POLL, deferred_interrupts, out_of_reach
 from ._work import FAILED, Batch, Outcome, work, write_outcome
@@ -99,13 +99,15 @@ class OnCluster:
         def submit(batch: Batch) -> None:
             task: tuple[Any, ...] = (_work_in_worker, batch)
             if self._sender is not None:
-                task = work_apart, importlib.metadata.version(PACKAGE), *self._sender.of(batch)
+                task = work_apart, own_version(), *self._sender.of(batch)
             future = self._client.submit(*task, key=f"diffshadow-{uuid.uuid4().hex}", pure=False)
             waiting[future] = batch
             finished.add(future)
 
         def fill() -> None:
-            while len(waiting) < _BATCHES_AHEAD * max(self.workers, 1) and (batch := next(to_come, None)) is not None:
+            # The number of workers is a question to the scheduler.
+            most = _BATCHES_AHEAD * max(self.workers, 1)
+            while len(waiting) < most and (batch := next(to_come, None)) is not None:
                 self._interrupted()
                 submit(batch)
 
@@ -143,7 +145,7 @@ class OnCluster:
 
         **Arguments:** `again`: whether to ask workers that were asked before.
         """
-        here = importlib.metadata.version(PACKAGE)
+        here = own_version()
         there = set(self._client.nthreads()) - (set() if again else self._checked)
         if not there:
             return

@@ -265,7 +265,7 @@ def _batches(folder: Path, sweep: Sweep, todo: Sequence[int], workers: int, prog
     batch = Batch(str(folder), settings, (), programs)
     for start in range(0, len(todo), _MAX_AT_ONCE):
         runs = list(sweep.runs.at(todo[start : start + _MAX_AT_ONCE]))
-        batches = [batch._replace(runs=together) for together in _together(runs, size, workers)]
+        batches = [batch._replace(runs=runs, shape=shape) for shape, runs in _together(runs, size, workers)]
         references = [{reference_of(run.config) for run in each.runs} for each in batches]
         uses = Counter(text for texts in references for text in texts)
         for each, texts in zip(batches, references, strict=True):
@@ -273,8 +273,9 @@ def _batches(folder: Path, sweep: Sweep, todo: Sequence[int], workers: int, prog
             yield each._replace(shares=shares)
 
 
-def _together(runs: Sequence[SweepRun], size: int, workers: int) -> Iterator[tuple[SweepRun, ...]]:
-    """Batches of up to `size` runs that share programs, and drawings if possible. The slowest come first.
+def _together(runs: Sequence[SweepRun], size: int, workers: int) -> Iterator[tuple[str, tuple[SweepRun, ...]]]:
+    """Batches of up to `size` runs with their shape, which share programs, and drawings if possible. The slowest come
+    first.
 
     Workers start with different programs, so that each program is compiled once and then found in the cache.
     """
@@ -282,9 +283,10 @@ def _together(runs: Sequence[SweepRun], size: int, workers: int) -> Iterator[tup
     for run in runs:
         shapes.setdefault(shape_of(run.config), []).append(run)
     groups = []
-    for alike in sorted(shapes.values(), key=lambda alike: -getattr(alike[0].config.filter, "samples", 0)):
+    taps = lambda item: getattr(item[1][0].config.filter, "samples", 0)
+    for shape, alike in sorted(shapes.items(), key=taps, reverse=True):
         alike = sorted(alike, key=lambda run: drawing_of(run.config))
-        groups.append([tuple(alike[start : start + size]) for start in range(0, len(alike), size)])
+        groups.append([(shape, tuple(alike[start : start + size])) for start in range(0, len(alike), size)])
     beside = [groups[start : start + workers] for start in range(0, len(groups), workers)]
     layers = [layer for some in beside for layer in itertools.zip_longest(*some)]
     return (together for layer in layers for together in layer if together is not None)

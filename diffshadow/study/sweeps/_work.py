@@ -19,7 +19,17 @@ from rich.console import Console
 
 from ... import io, metrics, reference
 from ..._types import HostArray
-from ...config import FLICKER, LIMIT_ERROR, Config, SweepConfig, SweepRun, build_technique, changed
+from ...config import (
+    CONFIG_FILE,
+    FITTED_FILE,
+    FLICKER,
+    LIMIT_ERROR,
+    Config,
+    SweepConfig,
+    SweepRun,
+    build_technique,
+    changed,
+)
 from ...settings.filters import RandomDisk
 from .._drawn import Drawn
 from ..files._run_folder import RESULT, folder_of, remove, write_whole
@@ -62,6 +72,7 @@ class Batch(NamedTuple):
     - `runs`: the runs to do.
     - `programs`: the folder of compiled programs, if there is one.
     - `shares`: whether its references are worth sending: other batches have them too, or there are few.
+    - `shape`: what the compiled programs of all its runs depend on.
     """
 
     folder: str
@@ -69,6 +80,7 @@ class Batch(NamedTuple):
     runs: tuple[SweepRun, ...]
     programs: str | None = None
     shares: bool = False
+    shape: str = ""
 
 
 class Outcome(NamedTuple):
@@ -87,7 +99,14 @@ def work(batch: Batch) -> list[Outcome]:
         # If another worker is writing the same program, it is compiled here too.
         warnings.filterwarnings("ignore", "Error reading persistent compilation cache entry")
         io.keep_compiled_programs(batch.programs)
-    return [read_outcome(batch.folder, run.id, batch.settings) or _do(batch, run) for run in batch.runs]
+    outcomes = []
+    for run in batch.runs:
+        outcome = read_outcome(batch.folder, run.id, batch.settings)
+        if outcome is None:
+            outcome = do(batch, run)
+            write_outcome(batch.folder, run, outcome, batch.settings.run)
+        outcomes.append(outcome)
+    return outcomes
 
 
 def read_outcome(
@@ -125,22 +144,30 @@ def _measured(settings: SweepConfig) -> tuple[dict[str, type], tuple[str, ...]]:
 
 
 def write_outcome(folder: str | os.PathLike[str], run: SweepRun, outcome: Outcome, kind: str) -> None:
-    """Writes the run's folder: its configuration, with the layout that it was drawn with, and its outcome.
+    """Writes the run's folder. `kind` is `"fit"` or `"render"`."""
+    write_files(Path(folder) / RUNS / run.id, files_of(run, outcome, kind))
 
-    `kind` is `"fit"` or `"render"`.
-    """
+
+def files_of(run: SweepRun, outcome: Outcome, kind: str) -> dict[str, bytes]:
+    """The files of the run's folder by name: its configuration, with the layout that it was drawn with, and its
+    outcome."""
     config = run.config.with_layout_of_fit() if kind == "fit" else run.config
 
     found = {name.removeprefix(FITTED): value for name, value in outcome.metrics.items() if name.startswith(FITTED)}
     fitted = {name: value for name, value in found.items() if value is not None}
+    files = {CONFIG_FILE: record.yaml_of(config)}
+    if fitted and (after := record.fitted_config(config, fitted)) is not None:
+        files[FITTED_FILE] = record.yaml_of(after)
+    return {**files, RESULT: record.result_of(outcome._asdict(), files)}
+
+
+def write_files(place: Path, files: Mapping[str, bytes]) -> None:
+    """Writes the folder `place` of a run with `files`, by name."""
 
     def write(draft: Path) -> None:
-        record.write_config(draft, config)
-        if fitted:
-            record.write_fitted(draft, config, fitted)
-        record.write_result(draft, outcome._asdict())
+        for name, content in files.items():
+            (draft / name).write_bytes(content)
 
-    place = Path(folder) / RUNS / run.id
     # Only the sweep writes here, so anything else under a run's name, such as a file or a broken link, is removed.
     if not place.is_dir():
         remove(place)
@@ -150,9 +177,10 @@ def write_outcome(folder: str | os.PathLike[str], run: SweepRun, outcome: Outcom
 def shape_of(config: Config) -> str:
     """Everything that the compiled programs of a run depend on, as text: all but real numbers, pattern and seed."""
     without = {"name", "output", "seed", "sweep", "advise", "shading"}
-    data = config.model_dump(mode="json", warnings=False, exclude=without)
+    text = json.dumps(config.model_dump(mode="json", warnings=False, exclude=without))
+    data = json.loads(text, parse_float=lambda _: None, parse_constant=lambda _: None)
     data["filter"].pop("pattern", None)
-    return json.dumps(_without_reals(data), sort_keys=True)
+    return json.dumps(data, sort_keys=True)
 
 
 def drawing_of(config: Config) -> str:
@@ -170,18 +198,10 @@ def reference_of(config: Config) -> str:
     return json.dumps(data, sort_keys=True)
 
 
-def _without_reals(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _without_reals(inner) for key, inner in value.items()}
-    if isinstance(value, list):
-        return [_without_reals(inner) for inner in value]
-    return None if isinstance(value, float) else value
-
-
-def _do(batch: Batch, run: SweepRun) -> Outcome:
-    """Does one run and writes its folder. An error in the run becomes its outcome."""
+def do(batch: Batch, run: SweepRun) -> Outcome:
+    """Does one run, and writes its figures if there are any. An error in the run becomes its outcome."""
     started = time.perf_counter()
-    _limit_programs(shape_of(run.config))
+    _limit_programs(batch.shape)
     stages = Stages(_QUIET)
     try:
         config = _with_figures(batch, run) if batch.settings.figures else run.config
@@ -191,9 +211,7 @@ def _do(batch: Batch, run: SweepRun) -> Outcome:
         status, error = OK, None
     except Exception as problem:
         measured, status, error = {}, FAILED, f"{type(problem).__name__}: {problem}"
-    outcome = Outcome(run.id, status, error, measured, {**stages.seconds, "total": time.perf_counter() - started})
-    write_outcome(batch.folder, run, outcome, batch.settings.run)
-    return outcome
+    return Outcome(run.id, status, error, measured, {**stages.seconds, "total": time.perf_counter() - started})
 
 
 def _measure_render(config: Config, batch: Batch, stages: Stages) -> Measured:
