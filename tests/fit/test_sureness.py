@@ -1,6 +1,7 @@
 """How sure a fit is: intervals, preferences and the front, on errors in closed form and on a scene."""
 
 import itertools
+from types import SimpleNamespace
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,6 +12,8 @@ from scenes import problem, technique
 from diffshadow.fit import Anneal, AtBound, Loss, Parameter, Parameters, Search, Solver, Sureness, fit
 from diffshadow.fit._bounds import at_bounds
 from diffshadow.fit._front import front_of
+from diffshadow.fit._judge import Judge
+from diffshadow.fit._phases import phases_of
 from diffshadow.fit._profile import Profiler
 from diffshadow.fit._run import Run
 from diffshadow.fit.problems import Joint
@@ -133,6 +136,14 @@ def test_preferences_go_as_far_as_the_error_allows():
     assert most_b.error <= (1 + within) * LEAST
 
 
+def test_what_is_preferred_first_stays_where_it_is_while_the_next_moves():
+    # The first ends at its bound, so the error leaves room for the second.
+    near = [Parameter("a", 3.0, BEST[0] - 0.02, 10.0), BOUNDS[1]]
+    end = Profiler(Bowl(), near, BEST).preferred([("a", "lower"), ("b", "lower")], 0.05)
+    assert end.values[0] == pytest.approx(near[0].lower, rel=1e-6)
+    assert end.values[1] < BEST[1] - 0.3 * half_width(0.05)
+
+
 def test_values_on_a_bound_say_whether_the_error_still_falls_there():
     # Beyond 2.5, a is better. So is b with this a, and with the best one it is best on its bound.
     narrow = [Parameter("a", 1.0, 0.0, 2.5), Parameter("b", 1.0, -4.0, BEST[1])]
@@ -225,6 +236,17 @@ def test_a_front_has_no_settings_twice_and_a_knee_only_between_ends():
     front = front_of(Two(), (0.5,), 9)
     assert [(point.false_shadow, point.false_light) for point in front] == [(0.1, 0.3), (0.3, 0.1)]
     assert not any(point.is_knee for point in front)
+
+
+def test_a_refit_for_a_front_weighs_the_signs_of_errors(found):
+    known, _ = found
+    parameters = [Parameter("bias.constant", 1.6, 0.0, 6.0)]
+    joint, of_all = Joint.of(known, Loss(false_shadow=2.0)), Parameters.of(parameters)
+    (phase,) = phases_of(joint, of_all.paths, Anneal(1.0, 1.0, 1), None, 1 << 20)
+    run, seen = Run(parameters, Judge(joint.hard(), of_all), [phase], Solver(), 1, None, None), []
+    run._ran = lambda phase, arguments: seen.append(arguments[0].loss) or SimpleNamespace(value=np.full(1, np.nan))
+    assert run.refitted((1.0,), (), ratio=4.0) == (1.0,)
+    assert [(float(loss.false_shadow), float(loss.false_light)) for loss in seen] == [(4.0, 0.5)]
 
 
 @pytest.fixture(scope="module")
