@@ -82,7 +82,8 @@ clean: ## remove .venv and all caches
 	find diffshadow docs experiments notebooks tests -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
 
 # With uv if there is one that works, else with the first Python that is new enough. A complete .venv is brought up to
-# date in place; a half-made one is made anew. Packages come as wheels only: no compiler is ever needed.
+# date in place; a half-made one is made anew. Packages come as wheels only: no compiler is ever needed. Python compiles
+# the modules that it imports; to compile all of them takes as long as to download them.
 $(STAMP): pyproject.toml constraints.txt
 	@set -u; fresh=yes; \
 	if [ -e $@ ] && $(BIN)/python -c '' 2>/dev/null; then fresh=no; fi; \
@@ -129,7 +130,7 @@ $(STAMP): pyproject.toml constraints.txt
 	    install="$(UV) pip install --quiet --python $(BIN)/python"; check="$(UV) pip check --quiet --python $(BIN)/python"; \
 	    wheels=--no-build; \
 	else \
-	    install="$(BIN)/python -m pip install --quiet --disable-pip-version-check"; check="$(BIN)/python -m pip check"; \
+	    install="$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile"; check="$(BIN)/python -m pip check"; \
 	    wheels="--only-binary :all:"; \
 	fi; \
 	$$install $$wheels --requirement constraints.txt || failed "the pinned packages"; \

@@ -26,7 +26,7 @@ CONFIGS = sorted((Path(__file__).parents[2] / "configs").glob("*.yaml"))
 QUICKSTART = next(path for path in CONFIGS if path.stem == "quickstart")
 TINY = "scene: {meshes: [{path: 'builtin:torus_knot'}]}\n"
 # The machine may be busy, and each example is small.
-few = settings(max_examples=10, deadline=None)
+few = settings(max_examples=5, deadline=None)
 JARGON = ("type=", "Input should", "pydantic", "http", "union", "tuple", "dict", "NoneType", "<", "extra")
 
 

@@ -340,7 +340,7 @@ def test_meshes_and_small_images_of_like_size_share_a_program():
             assert face.shape == resolution
             assert (face >= 0).all()
     # None if another test has drawn such an image before.
-    assert sum("_rasterize" in name for name in compiled) <= 1
+    assert sum("_shared" in name for name in compiled) <= 1
 
 
 ONE = np.array([[0, 1, 2]])
@@ -364,7 +364,7 @@ def test_a_drawing_carries_no_gradient_and_shares_its_program_with_those_in_doub
     np.testing.assert_array_equal(gradient, 0)
     assert value == expected
     assert in_double == pytest.approx(float(expected))
-    assert not any("_rasterize" in name for name in compiled)
+    assert not any("_shared" in name for name in compiled)
 
 
 @pytest.mark.exhaustive

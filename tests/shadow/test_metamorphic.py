@@ -222,7 +222,7 @@ FILTERS = {
         HARD,
     ),
 }
-SELDOM = ("disk", "four taps", "VSM", "EVSM")
+SELDOM = ("PCSS", "disk", "four taps", "VSM", "EVSM")
 EACH_FILTER = marked(FILTERS, SELDOM)
 
 

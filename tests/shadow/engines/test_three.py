@@ -65,6 +65,7 @@ REPEATED = (
     "directional_vsm_default_sides",
     "directional_vsm_frustum_reversed",
     "directional_vsm_normal_bias",
+    "directional_vsm_radius_4",
     "directional_vsm_uncast",
     "spot_pcf_oblong_focus",
     "spot_vsm_odd_sizes",
