@@ -13,6 +13,8 @@ CASE :=
 # Tried in this order: the pinned packages are tested on 3.12 first.
 PYTHON := python3.12 python3.13 python3.14 python3 python
 UV := uv
+IMPORT_ALL := import importlib, pkgutil, diffshadow as own; \
+    [importlib.import_module(each.name) for each in pkgutil.walk_packages(own.__path__, 'diffshadow.') if '__' not in each.name]
 COMPILE := pip compile --universal --python-version 3.12 --upgrade --quiet --no-annotate --no-header --no-emit-index-url
 # pyright's launcher otherwise remarks on releases newer than the pinned one.
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
@@ -82,8 +84,8 @@ clean: ## remove .venv and all caches
 	find diffshadow docs experiments notebooks tests -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
 
 # With uv if there is one that works, else with the first Python that is new enough. A complete .venv is brought up to
-# date in place; a half-made one is made anew. Packages come as wheels only: no compiler is ever needed. Python compiles
-# the modules that it imports; to compile all of them takes as long as to download them.
+# date in place; a half-made one is made anew. Packages come as wheels only: no compiler is ever needed. Only modules
+# that diffshadow imports are compiled to bytecode; for all of them, that takes as long as the rest of the set-up.
 $(STAMP): pyproject.toml constraints.txt
 	@set -u; fresh=yes; \
 	if [ -e $@ ] && $(BIN)/python -c '' 2>/dev/null; then fresh=no; fi; \
@@ -136,6 +138,7 @@ $(STAMP): pyproject.toml constraints.txt
 	$$install $$wheels --requirement constraints.txt || failed "the pinned packages"; \
 	$$install --no-deps --no-build-isolation --editable . || failed "diffshadow itself"; \
 	$$check || failed "constraints.txt does not fit pyproject.toml: make constraints"; \
+	$(BIN)/python -c "$(IMPORT_ALL)" || failed "the import of diffshadow"; \
 	touch $@; \
 	echo "$(VENV) is ready."
 

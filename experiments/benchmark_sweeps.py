@@ -71,9 +71,9 @@ def cluster(folder: Path) -> Iterator[tuple[str, list[int]]]:
             start(f"worker{i}", "distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny")
         yield address, [process.pid for process in processes]
     finally:
+        # A worker that loses its scheduler while it stops may never end.
         for process in processes:
-            process.terminate()
-        for process in processes:
+            process.kill()
             process.wait()
 
 

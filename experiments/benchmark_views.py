@@ -101,15 +101,12 @@ def measure(views: int, size: int, over: str) -> dict[str, Any]:
     ends: list[float] = []
     fit_views = fit.fit
 
-    def timed(*given: Any, on_step: Any, **settings: Any) -> Any:
+    def timed(*given: Any, **settings: Any) -> Any:
         """The fit, with the times of its steps and of its ends."""
         ends.append(time.perf_counter())
-
-        def stepped(step: Any) -> None:
-            steps.append((step.phase, time.perf_counter()))
-            on_step(step)
-
-        result = fit_views(*given, **settings, on_step=stepped)
+        result = fit_views(
+            *given, **{**settings, "on_step": lambda step: steps.append((step.phase, time.perf_counter()))}
+        )
         ends.append(time.perf_counter())
         return result
 
