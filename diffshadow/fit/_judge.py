@@ -4,14 +4,13 @@ import dataclasses
 from functools import cached_property
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Array, Float
 
 from ._loss import Errors, Loss
 from ._parameters import Parameters
 from ._phases import Phase, enlarged
-from .problems import Atlases, Joint, Losses, Samples, Together, stacked_order
+from .problems import Atlases, Joint, Losses, Samples, Together, copied_bytes, stacked_order
 
 # So many images are judged by a program of their own, which takes two seconds to compile and copies all of them, unless
 # the copies take more bytes.
@@ -59,7 +58,7 @@ class Judge:
             found = self._together(values, loss).losses
         else:
             # Not as one program: its parts share theirs with all else that is drawn.
-            judge = self.at(values).with_loss(loss)
+            judge = self.joint.put(self.parameters, values).with_loss(loss)
             found = judge.losses(judge.subject)
         if not found.overflow:
             self._errors[_key(values, loss)] = found.errors
@@ -71,7 +70,7 @@ class Judge:
         if self._is_stacked:
             dark, light = self._together(values, self.loss).sides
         else:
-            judge = self.at(values)
+            judge = self.joint.put(self.parameters, values)
             dark, light = judge.sides(judge.subject)
         return float(dark), float(light)
 
@@ -114,10 +113,8 @@ class Judge:
 
     @cached_property
     def _copied(self) -> int:
-        """Bytes of all images that stacks copy."""
-        surfaces = {id(problem.surface): problem.surface for problem in self.joint.problems}
-        images = [(problem.reference, problem.mask) for problem in self.joint.problems]
-        return sum(leaf.nbytes for leaf in jax.tree.leaves((surfaces, images)))
+        """Bytes that stacks of all images copy."""
+        return copied_bytes(self.joint.problems)
 
     def _stacked(self, pixels: int | None = None) -> _Stacks:
         """All images as stacks, or about so many `pixels` of them. They are kept until maps are drawn again."""

@@ -280,16 +280,21 @@ def test_a_judge_finds_the_same_of_all_images_by_one_program(waved, small, monke
     third = dataclasses.replace(first, reference=second.reference)
     joint = Joint.of([waving(small, 1.1), first, second, third], Loss("worst", false_light=2.0))
     values, found = jnp.asarray([0.9, 0.3]), []
-    for many in (64, 4):
+    # Image by image; then by one program, with the maps in an atlas, and without one.
+    for many, texels in ((64, 1 << 31), (4, 1 << 31), (4, 0)):
         monkeypatch.setattr("diffshadow.fit._judge._MANY", many)
+        monkeypatch.setattr("diffshadow.fit.problems._stack._MAX_TEXELS", texels)
         judge = Judge(joint, Parameters.of([FIRST, SECOND]))
         losses = judge.losses(values, judge.loss)
         found.append([*losses.errors.tolist(), float(losses.compared), float(losses.whole), *judge.sides(values)])
-    assert judge._stacked().joint.problems[0].sights.tolist() == [0, 1, 0]
+        stack = judge._stacked().joint.problems[0]
+        assert (stack.atlas is None) == (texels == 0)
+        assert stack.sights.tolist() == [0, 1, 0]
     # 54 bytes for each pixel of three surfaces, and 5 for each of four images.
     assert judge._copied == 54 * (2 * 64 + 48) * 64 + 5 * (3 * 64 + 48) * 64
     assert len(set(np.round(found[0][:4], 5))) == 4
     assert found[1] == pytest.approx(found[0], rel=1e-5)
+    assert found[2] == pytest.approx(found[0], rel=1e-5)
 
 
 def twice(view):

@@ -145,6 +145,14 @@ def stacked_order(problems: Sequence[AbstractProblem]) -> list[int]:
     return [number for group in _numbers_of_one_structure(problems) for number in group]
 
 
+def copied_bytes(problems: Sequence[TechniqueProblem]) -> int:
+    """The bytes that stacks of the problems copy: images, surfaces once each, and maps that cannot be in an atlas."""
+    surfaces, _ = _distinct([problem.surface for problem in problems])
+    images = [(problem.reference, problem.mask) for problem in problems]
+    maps = [problem.shadow_map for problem in problems if not _is_plain(problem.shadow_map)]
+    return sum(getattr(leaf, "nbytes", 0) for leaf in jax.tree.leaves((surfaces, images, maps)))
+
+
 def _stacks(
     group: Sequence[TechniqueProblem], among: Sequence[TechniqueProblem], atlases: Atlases, devices: int
 ) -> Iterator[TechniqueProblem | Stack]:
@@ -166,7 +174,7 @@ def _stack(group: Sequence[TechniqueProblem], among: Sequence[TechniqueProblem],
     like = group[0].shadow_map
     maps: dict[int, Any] = {id(p.shadow_map): p.shadow_map for p in among if _fits(p.shadow_map, like)}
     if not _has_atlas(like, len(maps)):
-        return Stack(together(group))
+        return Stack.of(group, None, [])
     numbers = {key: number for number, key in enumerate(maps)}
     if tuple(maps) not in atlases:
         # With the maps, so that their ids stay their own.
