@@ -1,7 +1,7 @@
 """Cache keys of references: everything a reference depends on, as plain values."""
 
 import dataclasses
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,8 +18,25 @@ _ALGORITHM = 2
 _OF_SHADING = {"inner_angle"}
 
 
+class KeyedScene(NamedTuple):
+    """A scene with one light, and what keys of all its references have in common."""
+
+    scene: Scene
+    mesh: tuple[HostArray, HostArray]
+    cutouts: tuple[HostArray, ...]
+    camera: Any
+    light: Any
+
+    @classmethod
+    def of(cls, scene: Scene) -> "KeyedScene":
+        """Of a scene with one light; `ValueError` for several."""
+        mesh = scene.mesh
+        arrays = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+        return cls(scene, arrays, _cutouts(mesh), _fields(scene.camera), _fields(scene.light))
+
+
 def key_parts(
-    scene: Scene,
+    scene: Scene | KeyedScene,
     samples: int = Settings.samples,
     sampler: Sampler = Settings.sampler,
     seed: int = 0,
@@ -32,35 +49,18 @@ def key_parts(
     colours of corners and textures, a spot light's inner angle, and samples, sampler and seed for a light without size.
     Of textures with an alpha test, it has alpha, cutoffs and texture coordinates.
 
+    **Arguments:** `scene`: or its `KeyedScene`, which saves time for many keys. The others are as for
+    `trace_visibility`.
+
     **Raises** `ValueError` as `trace_visibility` does for several lights, `samples`, `sampler` and `supersampling`.
     """
-    return KeyedScene(scene).key_parts(samples, sampler, seed, supersampling, blockers)
-
-
-class KeyedScene:
-    """A scene with one light whose parts of keys are found once, for many seeds."""
-
-    def __init__(self, scene: Scene):
-        light, mesh = scene.light, scene.mesh
-        self._scene = scene
-        self._mesh = np.asarray(mesh.vertices), np.asarray(mesh.faces)
-        self._cutouts = _cutouts(mesh)
-        self._camera, self._light, self._has_size = _fields(scene.camera), _fields(light), light.has_size
-
-    def key_parts(
-        self,
-        samples: int = Settings.samples,
-        sampler: Sampler = Settings.sampler,
-        seed: int = 0,
-        supersampling: int = Settings.supersampling,
-        blockers: Blockers = Settings.blockers,
-    ) -> tuple[Any, ...]:
-        """The function `key_parts` of the scene."""
-        check_sampling(samples, sampler, supersampling, blockers)
-        of_light = (int(samples), str(sampler), int(seed)) if self._has_size else (1, "centre", 0)
-        sampling = (*of_light, int(supersampling))
-        triangles = (*self._mesh, blocking_faces(self._scene, blockers), *self._cutouts)
-        return ("reference", _ALGORITHM, sampling, triangles, self._camera, self._light)
+    check_sampling(samples, sampler, supersampling, blockers)
+    known = scene if isinstance(scene, KeyedScene) else KeyedScene.of(scene)
+    has_size = known.scene.light.has_size
+    of_light = (int(samples), str(sampler), int(seed)) if has_size else (1, "centre", 0)
+    sampling = (*of_light, int(supersampling))
+    triangles = (*known.mesh, blocking_faces(known.scene, blockers), *known.cutouts)
+    return ("reference", _ALGORITHM, sampling, triangles, known.camera, known.light)
 
 
 def _cutouts(mesh: Mesh) -> tuple[HostArray, ...]:

@@ -238,7 +238,7 @@ def keyed_scenes(config: Config, stages: Stages) -> list[reference.KeyedScene]:
     """The scene of `config` under each of its lights alone; none if it cannot be built."""
     try:
         scene = load(config, stages).scene
-        return [reference.KeyedScene(scene.lit_by(i)) for i in range(len(scene.lights))]
+        return [reference.KeyedScene.of(scene.lit_by(i)) for i in range(len(scene.lights))]
     except (ConfigError, ValueError, OSError):
         # The run reports it.
         return []
@@ -250,7 +250,7 @@ def keys_of_references(config: Config, scenes: Sequence[reference.KeyedScene]) -
     if not isinstance(config.reference, TracedReference | PictureReference):
         return []
     how = config.reference.how(config.seed)
-    return [io.cache_key(each.key_parts(**how)) for each in scenes]
+    return [io.cache_key(reference.key_parts(each, **how)) for each in scenes]
 
 
 def _error(config: Config, path: tuple[str | int, ...], what: str) -> ConfigError:
