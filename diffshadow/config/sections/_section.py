@@ -101,16 +101,14 @@ def _beyond_single_precision(
     entries: Iterable[tuple[str | int, Any]], path: tuple[str | int, ...] = ()
 ) -> Iterator[Conflict]:
     """A fault for each number in `entries` that float32 cannot represent. Inner sections check themselves."""
-    # Each run of a sweep has a hundred entries.
     for step, value in entries:
-        kind = type(value)
-        if kind is float or kind is int:
+        if isinstance(value, int | float):
             if value and not _LEAST <= abs(value) <= _MOST:
                 expected = f"0, or a magnitude from {_LEAST:.2g} to {_MOST:.2g}, the range of single precision"
                 yield (*path, step), fault(f"is {show(value)}", expected, "check its exponent")
-        elif kind is tuple or kind is list:
+        elif isinstance(value, list | tuple):
             yield from _beyond_single_precision(enumerate(value), (*path, step))
-        elif kind is dict:
+        elif isinstance(value, Mapping):
             yield from _beyond_single_precision(value.items(), (*path, step))
 
 
