@@ -13,6 +13,7 @@ CASE :=
 # Tried in this order: the pinned packages are tested on 3.12 first.
 PYTHON := python3.12 python3.13 python3.14 python3 python
 UV := uv
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
 IMPORT_ALL := import importlib, pkgutil, diffshadow as own; \
     [importlib.import_module(each.name) for each in pkgutil.walk_packages(own.__path__, 'diffshadow.') if '__' not in each.name]
 COMPILE := pip compile --universal --python-version 3.12 --upgrade --quiet --no-annotate --no-header --no-emit-index-url
@@ -132,7 +133,7 @@ $(STAMP): pyproject.toml constraints.txt
 	    install="$(UV) pip install --quiet --python $(BIN)/python"; check="$(UV) pip check --quiet --python $(BIN)/python"; \
 	    wheels=--no-build; \
 	else \
-	    install="$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile"; check="$(BIN)/python -m pip check"; \
+	    install="$(PIP)"; check="$(BIN)/python -m pip check"; \
 	    wheels="--only-binary :all:"; \
 	fi; \
 	$$install $$wheels --requirement constraints.txt || failed "the pinned packages"; \
@@ -148,6 +149,6 @@ $(DOCS_STAMP): $(STAMP) constraints-docs.txt
 	if $(UV) --version >/dev/null 2>&1; then \
 	    $(UV) pip install --quiet --python $(BIN)/python --no-build --requirement constraints-docs.txt; \
 	else \
-	    $(BIN)/python -m pip install --quiet --disable-pip-version-check --only-binary :all: --requirement constraints-docs.txt; \
+	    $(PIP) --only-binary :all: --requirement constraints-docs.txt; \
 	fi || { echo "The packages of the site were not installed; the message above says why." >&2; exit 1; }
 	@touch $@

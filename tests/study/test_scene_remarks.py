@@ -99,7 +99,7 @@ def test_a_mesh_that_is_mostly_out_of_the_picture_is_named_with_a_size(tmp_path)
     )
 
 
-# Its few faces are as many as those of most scenes here.
+# A coarse sphere, which shares the programs that the other scenes compile.
 FACETED = "path: builtin:low_poly_sphere, options: {radius: 3}, translate: [0, -1, -2]"
 CARD = "path: builtin:plane, options: {size: 1}, translate: [1, 0.5, 1]"
 
