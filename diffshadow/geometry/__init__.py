@@ -20,6 +20,7 @@ from ._ground import stands_on_z as stands_on_z
 from ._ground import up_of as up_of
 from ._ground import y_up as y_up
 from ._library import LIBRARY, OptionError, library_mesh
+from ._matrices import eye_of as eye_of
 from ._mesh import Mesh, MeshLike, as_mesh, face_normals, merge
 from ._mesh import face_colours as face_colours
 from ._normals import crease_normals, weld

@@ -5,6 +5,7 @@ from ._antialias import AntialiasedSurface, AntialiasPlan, draw_antialiased, pla
 from ._corners import rasterize_with_corners as rasterize_with_corners
 from ._counts import count_fragments
 from ._depth_test import DepthTest
+from ._drawn_view import drawn_view as drawn_view
 from ._fixed import SUBPIXELS
 from ._fixed import at_steps as at_steps
 from ._grid_crossings import GridCrossings as GridCrossings

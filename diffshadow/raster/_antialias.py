@@ -24,6 +24,7 @@ from ..settings import maps
 from ..settings.maps import Cull
 from ._boundaries import Boundaries, Pieces, find_creases
 from ._corners import rasterize_with_corners
+from ._drawn_view import drawn_view
 from ._interpolate import Points
 from ._plane_crossings import crossing_faces, plane_crossings
 from ._rasterize import NO_FACE
@@ -169,11 +170,13 @@ def _edges_of(mesh: Mesh) -> tuple[Edges, Bool[Array, " n"]]:
 class _Seen(eqx.Module):
     """What a camera sees of a mesh, before there is memory for what its pixels have several of.
 
-    - `clip`: (v, 4); `centres`: (h, w), the faces at pixel centres; `corners`: (h + 1, w + 1), at the corners.
+    - `view`: see `drawn_view`; `clip`: (v, 4), the vertices in it.
+    - `centres`: (h, w), the faces at pixel centres; `corners`: (h + 1, w + 1), at the corners.
     - `boundaries`: all of the mesh's in this view; `crossing`: (h, w), see `crossing_faces`.
     - `counts`: (2,), how many pieces of boundaries there are, and how many pixels in which meshes cross.
     """
 
+    view: View
     clip: ClipVertices
     centres: FaceMap
     corners: Int[Array, "H W"]
@@ -183,10 +186,11 @@ class _Seen(eqx.Module):
 
     @classmethod
     def of(cls, mesh: Mesh, camera: AbstractCamera, edges: Edges, creases: Bool[Array, " n"], cull: Cull) -> "_Seen":
-        clip = camera.view().clip_vertices(mesh.vertices)
+        view = drawn_view(camera.view(), mesh)
+        clip = view.clip_vertices(mesh.vertices)
         seen = rasterize_with_corners(clip, mesh.faces, camera.resolution, cull=cull, alpha_test=mesh.alpha_test)
         centres, corners = (fragments.face for fragments in seen)
-        return cls(clip, centres, corners, *_boundaries(clip, mesh.faces, edges, creases, cull, centres, corners))
+        return cls(view, clip, centres, corners, *_boundaries(clip, mesh.faces, edges, creases, cull, centres, corners))
 
     def sizes(self, margin: float) -> tuple[int, int]:
         """For how many pieces and crossings to have memory, at least `margin` times as many as there are."""
@@ -246,7 +250,7 @@ def draw_antialiased(
     mesh = mesh.padded()
     seen = _Seen.of(mesh, camera, edges, creases, cull)
     pieces, crossings = seen.sizes(1.0) if plan is None else (plan.pieces, plan.crossings)
-    drawn, has_all_parts = _antialiased(mesh, camera.eye, camera.view(), seen, edges, pieces, crossings)
+    drawn, has_all_parts = _antialiased(mesh, camera.eye, seen, edges, pieces, crossings)
     overflow = (seen.counts[0] > pieces) | (seen.counts[1] > crossings) | ~has_all_parts
     if not raises:
         return dataclasses.replace(drawn, overflow=overflow)
@@ -260,10 +264,10 @@ def draw_antialiased(
 
 @eqx.filter_jit
 def _antialiased(
-    mesh: Mesh, eye: Vec3, view: View, seen: _Seen, edges: Edges, most: int, most_crossings: int
+    mesh: Mesh, eye: Vec3, seen: _Seen, edges: Edges, most: int, most_crossings: int
 ) -> tuple[AntialiasedSurface, Bool[Array, ""]]:
     """The surface, with memory for so many pieces and crossings, and whether it has all parts of pieces."""
-    clip, centres = seen.clip, seen.centres
+    view, clip, centres = seen.view, seen.clip, seen.centres
     height, width = centres.shape
     found = seen.boundaries.with_crossings(plane_crossings(seen.crossing, centres, clip, mesh.faces, most_crossings))
     # Which pieces there are, and what lies beside them, has no derivative.

@@ -15,6 +15,7 @@ from ..geometry import NO_TEXTURE, AbstractCamera, Mesh, MeshLike, View, as_mesh
 from ..settings import maps
 from ..settings.maps import Cull
 from ._alpha_test import Cutouts
+from ._drawn_view import drawn_view
 from ._fixed import at_steps
 from ._interpolate import (
     Barycentrics,
@@ -97,7 +98,7 @@ def draw_surface(
     """
     check_instance("the camera", camera, AbstractCamera, "a camera, such as a PinholeCamera")
     mesh = as_mesh(mesh).padded()
-    view = camera.view()
+    view = drawn_view(camera.view(), mesh)
     clip = view.clip_vertices(mesh.vertices)
     if subpixels is not None:
         if not (isinstance(subpixels, int) and subpixels > 0):

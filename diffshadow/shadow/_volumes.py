@@ -34,6 +34,7 @@ from ..raster import (
     Surface,
     barycentrics,
     count_fragments,
+    drawn_view,
     interpolate_depth,
     light_sides,
     rasterize,
@@ -145,8 +146,8 @@ class ShadowVolumes(AbstractTechnique):
             given = state.casters, state.light, state.camera.eye, view, state.receivers
             casters, light, eye, view, receivers = in_float64(given)
             drawing = _drawing(casters, light, eye, view, receivers, state.edges, self.method == "z_fail")
-            clip = drawing.clip.astype(jnp.float32)
-        face = rasterize(clip, drawing.faces, state.camera.resolution).face
+            visible = drawing.visible.astype(jnp.float32)
+        face = rasterize(visible, drawing.faces, state.camera.resolution).face
         with jax.enable_x64(True):
             at = _behind(face, drawing)
             when, sign = ("fail", -1) if self.method == "z_fail" else ("pass", 1)
@@ -172,11 +173,13 @@ def shadow_volumes(
 class _Drawing(eqx.Module):
     """What is drawn, in float64: the visible meshes, (v, 4) and (f, 3), and the volumes.
 
+    - `visible`: (v, 4), the visible meshes in `drawn_view`, which need not have the volumes' window depths.
     - `lit_side`: (f,), whether camera and light see the same side of a face.
     - `farthest`: window depth of the camera's own far plane.
     """
 
     clip: ClipVertices
+    visible: ClipVertices
     faces: Faces
     volumes: Volumes
     lit_side: Bool[Array, " f"]
@@ -204,15 +207,16 @@ class _SeenCounts(eqx.Module):
 def _drawing(
     casters: Mesh, light: AbstractLight, eye: Vec3, view: View, receivers: Mesh | None, edges: Edges, caps: bool
 ) -> _Drawing:
+    scene = casters if receivers is None else merge([casters, receivers])
+    drawn = drawn_view(view, scene)
+    if caps:
+        # Only fragments behind the surface count, so the near plane may be moved towards it.
+        view = drawn
     farthest = 1 - view.near / view.far if view.is_perspective else as_float(1)
+    clip, visible = (_endless(each).clip(scene.vertices) for each in (view, drawn))
     view = _endless(view)
-    clip = view.clip(casters.vertices)
-    volumes = _volumes(clip, casters, light, view, edges, caps)
-    scene = casters
-    if receivers is not None:
-        scene = merge([casters, receivers])
-        clip = jnp.concatenate([clip, view.clip(receivers.vertices)])
-    return _Drawing(clip, scene.faces, volumes, _lit_side(scene, light, eye, view), farthest)
+    volumes = _volumes(clip[: casters.vertices.shape[0]], casters, light, view, edges, caps)
+    return _Drawing(clip, visible, scene.faces, volumes, _lit_side(scene, light, eye, view), farthest)
 
 
 @eqx.filter_jit
