@@ -9,7 +9,7 @@ import numpy as np
 
 from .._arithmetic import as_float
 from .._types import Scalar, Vec3
-from ..geometry import AbstractLight, CameraPose, LightPose, Mesh, Scene, Vector, rotation_less_one
+from ..geometry import AbstractLight, CameraPose, LightPose, Mesh, Scene, Smoothing, Vector, rotation_less_one
 from ..shading import AbstractShading, Colour
 from ..shadow import ShadowMapping
 
@@ -21,8 +21,9 @@ class MeshPose(eqx.Module):
     - `turn`: a rotation vector about the middle of its bounding box, in degrees: its direction is the axis, its length
         the angle.
     - `vertices`: positions of single vertices before translation and rotation, world units, by their index as text.
-        Vertices at the same position move together.
+        Vertices at the same position move together, and shading normals follow them.
     - `home`: (3,), the value of `translate` at which the mesh is not translated.
+    - `smoothing`: over which faces shading normals are smooth at these vertices; none without any.
     - `albedo`: the colour of all its faces; none to leave it as it is.
     """
 
@@ -31,6 +32,7 @@ class MeshPose(eqx.Module):
     vertices: dict[str, Vector]
     home: Vec3 = eqx.field(converter=as_float)
     together: dict[str, tuple[int, ...]] = eqx.field(static=True, default_factory=dict)
+    smoothing: Smoothing | None = None
     albedo: Colour | None = None
 
     @classmethod
@@ -57,12 +59,14 @@ class MeshPose(eqx.Module):
             if not 0 <= index < len(points):
                 raise ValueError(f"the mesh has no vertex {index}; expected an index from 0 to {len(points) - 1}")
         same = lambda index: tuple(map(int, np.flatnonzero((points == points[index]).all(axis=-1))))
+        together = {str(index): same(index) for index in vertices}
         return cls(
             translate=Vector(*home),
             turn=Vector(),
             vertices={str(index): Vector(*points[index]) for index in vertices},
             home=home,
-            together={str(index): same(index) for index in vertices},
+            together=together,
+            smoothing=Smoothing.of(mesh, {one for each in together.values() for one in each}) if together else None,
             albedo=Colour(*albedo[0]) if coloured and (albedo == albedo[0]).all() else None,
         )
 
@@ -72,11 +76,12 @@ class MeshPose(eqx.Module):
         vertices = mesh.vertices
         for index, vertex in self.vertices.items():
             vertices = vertices.at[np.asarray(self.together[index])].set(vertex.array)
+        normals = mesh.corner_normals if self.smoothing is None else self.smoothing.corner_normals(mesh, vertices)
         middle = mesh.bounds.mean(axis=0)
         bend = rotation_less_one(jnp.deg2rad(self.turn.array))
         # Added to what is there, so that a mesh at rest keeps its vertices to the last digit.
         turned = vertices + jnp.matmul(vertices - middle, bend.T, precision="highest")
-        normals = mesh.corner_normals + jnp.matmul(mesh.corner_normals, bend.T, precision="highest")
+        normals = normals + jnp.matmul(normals, bend.T, precision="highest")
         moved = (turned + (self.translate.array - self.home), normals)
         placed = eqx.tree_at(lambda one: (one.vertices, one.corner_normals), mesh, moved)
         if self.albedo is None:

@@ -34,6 +34,7 @@ from ._pages import finest_of as finest_of
 from ._pages import side_of as side_of
 from ._placement import drop_to_ground, fit_to_size
 from ._scene import Scene
+from ._smoothing import Smoothing as Smoothing
 from ._subdivide import split_in_four
 from ._textures import NO_TEXTURE, Textures
 from ._textures import bilinear as bilinear

@@ -91,7 +91,7 @@ def crease_normals(
     """
     if not 0 <= crease_angle <= 180:
         raise ValueError(f"the crease angle is {crease_angle}; expected degrees from 0 (flat) to 180 (smooth)")
-    normals, angles = _normals_and_angles(np.asarray(vertices, np.float64)[faces])
+    normals, angles = normals_and_angles(np.asarray(vertices, np.float64)[faces])
     least_cosine = np.cos(np.deg2rad(crease_angle)) - _COSINE_SLACK
     corner_vertex = faces.reshape(-1)
     weight = angles.reshape(-1)
@@ -138,7 +138,7 @@ def _merge_close(points: Float[HostArray, "v 3"], tolerance: float | int) -> Int
     return label[group].astype(np.int64)
 
 
-def _normals_and_angles(
+def normals_and_angles(
     corners: Float[HostArray, "f 3 3"],
 ) -> tuple[Float[HostArray, "f 3"], Float[HostArray, "f 3"]]:
     """Unit normal of each triangle, 0 if it has no area, and its angle in radians at each corner."""
