@@ -66,9 +66,14 @@ def concrete(x: Any) -> np.ndarray | None:
     return None if isinstance(x, Tracer) else np.asarray(x)
 
 
+def is_traced(tree: Any) -> bool:
+    """Whether an array in `tree` is traced and has no value yet."""
+    return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
+
+
 def array_module(*arrays: Any) -> Any:
     """`jax.numpy` if one of the `arrays` is traced; else NumPy, which compiles nothing for their shapes."""
-    return jnp if any(isinstance(array, Tracer) for array in arrays) else np
+    return jnp if is_traced(arrays) else np
 
 
 def dot(a: Float[Array, "*n d"], b: Float[Array, "*m d"]) -> Float[Array, "..."]:

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 from jax.core import Tracer
 
-from ._arithmetic import concrete
+from ._arithmetic import concrete, is_traced
 from .settings import Limits, LongerThan, Setting, Settings
 
 _MAX_SHOWN = 16
@@ -198,6 +198,12 @@ def check_instance(name: str, value: Any, kind: type | UnionType, example: str) 
     if not isinstance(value, kind):
         given = f"the class {value.__name__}" if isinstance(value, type) else f"of type {type(value).__name__}"
         raise TypeError(f"{name} is {given}; expected {example}")
+
+
+def check_outside_trace(name: str, expected: str, remedy: str, given: Any) -> None:
+    """**Raises** `ValueError` if an array in `given` is traced; `name` is the function that it was given to."""
+    if is_traced(given):
+        raise ValueError(f"{name} was called inside jax.jit (or grad, or vmap); expected {expected}: {remedy}")
 
 
 def check_points(name: str, points: Any) -> None:

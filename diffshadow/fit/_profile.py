@@ -1,17 +1,18 @@
 """How sure fitted values are: the error along each, with the others fitted again."""
 
-from collections.abc import Collection, Sequence
-from typing import Literal, NamedTuple
+from collections.abc import Callable, Collection, Sequence
+from typing import Literal, NamedTuple, TypeVar
 
 from ._parameters import Parameter
 from ._run import Run, Values
 
-# An end of an interval is found when the error there is as close to its limit as this part of the limit's excess.
-_CLOSE = 0.1
+# An end of an interval is found when the error there is this close to its limit: a part of the limit's excess, and a
+# part of the best error.
+_CLOSE, _CLOSE_TO_BEST = 0.1, 2e-3
 # The other parameters are fitted until the loss would fall by less than this part of the excess.
 _SETTLED = 0.02
 # The most trials for an end, and the part of the bounds below which trials end.
-_TRIALS, _NARROW = 12, 1e-4
+_TRIALS, _NARROW = 16, 1e-4
 # The first trial is at this part of the bounds from the best. Until one is outside, they go further by these factors.
 _FIRST, _MIN_GROWTH, _MAX_GROWTH = 0.01, 1.3, 4.0
 # Later ones keep away from those on both sides by this part of their distance.
@@ -20,6 +21,8 @@ _MARGIN = 0.1
 _BETTER, _RESTARTS = 1e-3, 4
 # Errors below this, in visibility, are rounding.
 _MIN_ERROR = 1e-5
+
+Found = TypeVar("Found")
 
 Bound = Literal["lower", "upper"]
 """One of the two bounds of a parameter."""
@@ -85,33 +88,39 @@ class Profiler:
         self.run, self.parameters = run, parameters
         self.best = Trial(values, run.error(values))
         self._trials: dict[tuple[int, Bound], list[Trial]] = {}
-        self._count = 0
+        self._count = self._restarts = 0
 
     def profiles(self, within: Sequence[float]) -> list[Profile]:
         """The profile of each parameter, with an interval for each of the fractions `within`."""
-        found: list[Profile] = []
-        for _ in range(_RESTARTS):
-            best = self.best
-            found = [self._profile(index, sorted(within)) for index in range(len(self.parameters))]
-            if self.best == best:
-                break
-        return found
+        return self._about_one_best(
+            lambda: [self._profile(index, sorted(within)) for index in range(len(self.parameters))]
+        )
 
     def preferred(self, order: Sequence[tuple[str, Bound]], within: float) -> Trial:
         """The trial that goes furthest towards the sides in `order`, with an error of at most `1 + within` of the best.
 
         The first parameter goes as far as it can; the next as far as it then can, and so on.
         """
-        names, at = [p.name for p in self.parameters], self.best
-        for _ in range(_RESTARTS):
-            best = at = self.best
-            kept: list[int] = []
+        names = [p.name for p in self.parameters]
+
+        def furthest() -> Trial:
+            at, kept = self.best, []
             for name, side in order:
-                at = self._furthest(at, names.index(name), side, _limit(best, within), kept)
+                at = self._furthest(at, names.index(name), side, _limit(self.best, within), kept)
                 kept.append(names.index(name))
+            return at
+
+        return self._about_one_best(furthest)
+
+    def _about_one_best(self, search: Callable[[], Found]) -> Found:
+        """What `search` finds in a whole round without a better best. After the last restart no trial becomes the best,
+        so that all that is found is about the same one."""
+        self._restarts = 0
+        while True:
+            best = self.best
+            found = search()
             if self.best == best:
-                break
-        return at
+                return found
 
     def _profile(self, index: int, within: Sequence[float]) -> Profile:
         parameter = self.parameters[index]
@@ -149,7 +158,7 @@ class Profiler:
         for _ in range(_TRIALS):
             if distance(inside) >= abs(bound - start.values[index]):
                 break
-            if limit - inside.error <= _CLOSE * (limit - self.best.error):
+            if limit - inside.error <= self._tolerance(limit):
                 break
             if outside is not None and distance(outside) - distance(inside) <= _NARROW * span:
                 break
@@ -161,7 +170,7 @@ class Profiler:
             trial = self._trial(inside, index, value, limit, kept)
             known.append(trial)
             beyond.append(trial.error > limit)
-            if trial.error < (1 - _BETTER) * self.best.error:
+            if trial.error < (1 - _BETTER) * self.best.error and self._restarts < _RESTARTS:
                 self._restart(trial)
                 return trial
             if trial.error > limit:
@@ -191,7 +200,7 @@ class Profiler:
         known = inside if outside is None else outside
         far, excess = known.values[index] - here, known.error**2 - self.best.error**2
         # The middle of the errors that end the search.
-        aim = limit - _CLOSE / 2 * (limit - self.best.error)
+        aim = limit - self._tolerance(limit) / 2
         if outside is not None:
             near = inside.values[index] - here
             part = (aim**2 - inside.error**2) / max(outside.error**2 - inside.error**2, 1e-30)
@@ -206,7 +215,12 @@ class Profiler:
         value = here + reach if side == "upper" else here - reach
         return min(max(value, parameter.lower), parameter.upper)
 
+    def _tolerance(self, limit: float) -> float:
+        """How close to `limit` the error at an end is."""
+        return min(_CLOSE * (limit - self.best.error), _CLOSE_TO_BEST * max(self.best.error, _MIN_ERROR))
+
     def _restart(self, better: Trial) -> None:
+        self._restarts += 1
         free = self.run.refitted(better.values, ())
         self.best = min(better, Trial(free, self.run.error(free)), key=lambda trial: trial.error)
         self._trials.clear()

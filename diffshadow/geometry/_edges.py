@@ -14,7 +14,8 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from .._arithmetic import as_array, as_int, concrete
+from .._arithmetic import as_array, as_int
+from .._checks import check_outside_trace
 from .._padding import padded_to, shared_size
 from .._types import HostArray
 from ._mesh import Mesh, MeshLike, as_mesh
@@ -56,12 +57,9 @@ class Edges(eqx.Module):
         **Raises** `ValueError` if the mesh is traced.
         """
         mesh = as_mesh(mesh)
-        vertices, faces = concrete(mesh.vertices), concrete(mesh.faces)
-        if vertices is None or faces is None:
-            raise ValueError(
-                "Edges.of was called inside jax.jit (or grad, or vmap); expected a mesh of concrete vertices and "
-                "faces: call Edges.of(mesh) outside, and pass the edges in"
-            )
+        remedy = "call Edges.of(mesh) outside, and pass the edges in"
+        check_outside_trace("Edges.of", "a mesh of concrete vertices and faces", remedy, (mesh.vertices, mesh.faces))
+        vertices = np.asarray(mesh.vertices)
         faces = share_vertices(mesh)
         runs = _Runs(faces)
         component = _components(runs, len(faces))

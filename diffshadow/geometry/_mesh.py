@@ -7,11 +7,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from .._arithmetic import array_module, as_float, as_int, concrete, normalize
-from .._checks import check_instance, listed
+from .._arithmetic import array_module, as_float, as_int, concrete, is_traced, normalize
+from .._checks import check_instance, check_outside_trace, listed
 from .._padding import padded_to, shared_mesh_size
 from .._pictures import SIDE, as_html, draw_faces, is_known, lit
 from .._types import Faces, HostArray, Mat4, Vertices
@@ -160,6 +159,7 @@ class Mesh(eqx.Module):
         Colours have 8 bits; a face whose colour varies has its mean colour. The normals are trimesh's own, since it has
         none for corners.
         """
+        check_outside_trace("Mesh.to_trimesh", "a mesh of known numbers", "call it outside", self)
         import trimesh  # which takes long to load
 
         colours = np.round(255 * face_colours(self)).astype(np.uint8)
@@ -199,7 +199,7 @@ class Mesh(eqx.Module):
         count, vertices = self.faces.shape[0], self.vertices.shape[0]
         faces, size = shared_mesh_size(count, vertices) if to is None else to
         has_its_size = (count, vertices) == (faces, size) and (self.textures is None or self.textures.is_padded)
-        if has_its_size or any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(self)):
+        if has_its_size or is_traced(self):
             return self
         corner = int(np.asarray(self.faces)[0, 0])
         arrays = [

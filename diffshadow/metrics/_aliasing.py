@@ -5,6 +5,8 @@ import dataclasses
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ._inputs import check_on_host
+
 
 @dataclasses.dataclass(frozen=True)
 class AliasingFigures:
@@ -32,6 +34,7 @@ def measure_aliasing(extent: ArrayLike, mask: ArrayLike) -> AliasingFigures:
 
     **Raises** `ValueError` if shapes differ, the mask is empty, or an extent in it is negative or not finite.
     """
+    check_on_host(extent, mask)
     extents, inside = np.asarray(extent, dtype=np.float64), np.asarray(mask)
     if extents.shape != inside.shape or inside.dtype != bool:
         raise ValueError(

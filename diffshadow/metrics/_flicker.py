@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ._inputs import as_images
+from ._inputs import as_images, check_on_host
 
 
 def flicker(visibility: ArrayLike, reference: ArrayLike, mask: ArrayLike | None = None) -> float:
@@ -29,6 +29,7 @@ def flicker(visibility: ArrayLike, reference: ArrayLike, mask: ArrayLike | None 
         metrics.flicker(frames, np.stack([truth.visibility, truth.visibility]))  # 0.0
         ```
     """
+    check_on_host(visibility, reference, mask)
     images, truths = np.asarray(visibility), np.asarray(reference)
     masks = np.ones(images.shape, bool) if mask is None else np.asarray(mask)
     if images.ndim != 3 or len(images) < 2 or not images.shape == truths.shape == masks.shape:

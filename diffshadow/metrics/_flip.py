@@ -5,7 +5,7 @@ from jaxtyping import Float32
 from numpy.typing import ArrayLike
 
 from .._types import HostArray
-from ._inputs import as_mask
+from ._inputs import as_mask, check_on_host
 
 
 def flip(
@@ -55,6 +55,7 @@ def flip(
 
 def _as_picture(name: str, picture: ArrayLike) -> Float32[HostArray, "h w 3"]:
     """**Raises** `ValueError` unless `picture` has shape (h, w, 3) and values in [0, 1]."""
+    check_on_host(picture)
     values = np.asarray(picture)
     if values.ndim != 3 or values.shape[-1] != 3 or not values.size:
         raise ValueError(f"the {name} has shape {values.shape}; expected (height, width, 3), in sRGB")

@@ -1,13 +1,23 @@
 """Checks of the images that metrics take."""
 
+from typing import Any
+
 import numpy as np
 from jaxtyping import Bool, Float64
 from numpy.typing import ArrayLike
 
+from .._checks import check_outside_trace
 from .._types import HostArray
 
 # How far visibility may be out of range.
 _ROUNDING = 1e-3
+# Metrics are computed on the host.
+_REMEDY = "call it outside; a loss to differentiate is written with jax.numpy, such as jnp.mean((image - truth) ** 2)"
+
+
+def check_on_host(*given: Any) -> None:
+    """**Raises** `ValueError` if an array in `given` is traced."""
+    check_outside_trace("a metric", "arrays of known numbers", _REMEDY, given)
 
 
 def as_images(
@@ -18,6 +28,7 @@ def as_images(
     **Raises** `ValueError` if the shapes differ or are not (h, w), the mask is not boolean or is empty, or an image
     holds a value in the mask that is not from 0 to 1.
     """
+    check_on_host(visibility, reference, mask)
     image, truth = np.asarray(visibility, dtype=np.float64), np.asarray(reference, dtype=np.float64)
     if image.ndim != 2 or image.shape != truth.shape:
         raise ValueError(

@@ -1,18 +1,22 @@
 """Where a surface intersects itself."""
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
+from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 
 from .._types import HostArray
+from ._inputs import check_on_host
 
 
-def count_self_intersections(vertices: Float[HostArray, "v 3"], faces: Int[HostArray, "f 3"]) -> int:
+def count_self_intersections(vertices: ArrayLike, faces: ArrayLike) -> int:
     """The number of pairs of faces without a common vertex that intersect; 0 for a surface that does not.
 
     Two faces intersect if a side of one passes through the other. Faces that only touch, or overlap in one plane, do
     not count.
     """
+    check_on_host(vertices, faces)
+    faces = np.asarray(faces)
     corners = np.asarray(vertices, np.float64)[faces]
     middle = corners.mean(axis=1)
     radius = np.linalg.norm(corners - middle[:, None], axis=-1).max(axis=1)

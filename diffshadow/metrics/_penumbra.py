@@ -3,6 +3,8 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ._inputs import check_on_host
+
 
 def penumbra_width(profile: ArrayLike, spacing: float = 1.0, low: float = 0.1, high: float = 0.9) -> float:
     """Width of the transition from dark to light in a `profile` across a shadow's edge.
@@ -18,6 +20,7 @@ def penumbra_width(profile: ArrayLike, spacing: float = 1.0, low: float = 0.1, h
 
     **Raises** `ValueError` if the profile has no such transition, or an argument is out of range.
     """
+    check_on_host(profile)
     values = np.asarray(profile, dtype=np.float64)
     if values.ndim != 1 or len(values) < 2 or not np.isfinite(values).all():
         raise ValueError(

@@ -2,9 +2,11 @@
 
 import numpy as np
 from jaxtyping import Float, Int
+from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 
 from .._types import HostArray
+from ._inputs import check_on_host
 
 Triangles = tuple[HostArray, HostArray]
 """Vertices (v, 3) and faces (f, 3). Each mesh has its own v and f."""
@@ -13,11 +15,12 @@ Triangles = tuple[HostArray, HostArray]
 _SAMPLES, _QUERIES = 600_000, 20_000
 
 
-def intersection_over_union(image: Float[HostArray, "h w"], reference: Float[HostArray, "h w"]) -> float:
+def intersection_over_union(image: ArrayLike, reference: ArrayLike) -> float:
     """The area that is dark in both images over the area that is dark in one: 1 for equal shadows, 0 for disjoint ones.
 
     A pixel is dark if its visibility is below 0.5. 1 if no pixel is.
     """
+    check_on_host(image, reference)
     dark, other = np.asarray(image) < 0.5, np.asarray(reference) < 0.5
     union = int((dark | other).sum())
     return int((dark & other).sum()) / union if union else 1.0
@@ -35,6 +38,7 @@ def chamfer_distance(first: Triangles, second: Triangles, *, samples: int = _SAM
     - `samples`: points on each surface; 20,000 of them look for the nearest.
     - `seed`: of the points.
     """
+    check_on_host(first, second)
     rng = np.random.default_rng(seed)
     one, other = (_sampled(vertices, faces, samples, rng) for vertices, faces in (first, second))
     far = [np.mean(KDTree(a).query(b[:_QUERIES])[0]) for a, b in ((one, other), (other, one))]

@@ -7,10 +7,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from .._arithmetic import as_array
+from .._arithmetic import as_array, is_traced
 from .._types import Faces, Resolution
 from ..geometry import Textures
 from ..settings import maps
@@ -35,7 +34,7 @@ def rasterize_with_corners(
     """
     height, width = resolution
     how = {"cull": cull, "depth_test": depth_test, "polygon_offset": polygon_offset, "alpha_test": alpha_test}
-    if not (isinstance(clip, Tracer) or isinstance(faces, Tracer)):
+    if not is_traced((clip, faces)):
         # They share a program anyway, and need not be put together.
         draw = partial(rasterize, faces=faces, buffer=(height + 1, width + 1), **how)
         return draw(clip, resolution=resolution), draw(

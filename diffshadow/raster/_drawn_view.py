@@ -10,14 +10,12 @@ as they are, since shadow maps store and compare depths as OpenGL defines them.
 import dataclasses
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from .._arithmetic import dot, take
+from .._arithmetic import dot, is_traced, take
 from .._types import Faces, Scalar
 from ..geometry import Mesh, View, eye_of
 
@@ -32,8 +30,8 @@ def drawn_view(view: View, mesh: Mesh) -> View:
     Nothing that `view` sees of `mesh` is cut away. A view whose depths are fine already is returned to the bit.
     """
     # Most views are fine, and this is known without a program of JAX.
-    is_traced = any(isinstance(array, Tracer) for array in jax.tree.leaves((view, mesh.vertices)))
-    return view if not is_traced and _is_fine(view, np.asarray(mesh.vertices)) else _moved(view, mesh)
+    is_known = not is_traced((view, mesh.vertices))
+    return view if is_known and _is_fine(view, np.asarray(mesh.vertices)) else _moved(view, mesh)
 
 
 def _is_fine(view: View, vertices: np.ndarray) -> bool:

@@ -11,7 +11,7 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from .._arithmetic import as_float
+from .._arithmetic import as_float, is_traced
 from .._checks import check_value
 from .._padding import padded_to, shared_mesh_size
 from .._types import Faces, Resolution
@@ -143,7 +143,7 @@ def _draw(
         single = lambda leaf: lax.stop_gradient(leaf.astype(jnp.float32)) if eqx.is_inexact_array(leaf) else leaf
         alpha_test = jax.tree.map(single, alpha_test)
     given = clip, faces, polygon_offset, behind, viewports, alpha_test
-    if pages is None and not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(given)):
+    if pages is None and not is_traced(given):
         return _draw_shared(
             clip, faces, resolution, cull, test, polygon_offset, behind, with_face, viewports, buffer, alpha_test
         )

@@ -10,7 +10,7 @@ from ..geometry import Mesh, Scene
 from ..settings.reference import Blockers, Sampler
 from ..settings.reference import TracedReference as Settings
 from ._sampling import check_sampling
-from ._visibility import blocking_faces
+from ._visibility import blocking_faces, check_known
 
 # Increase it whenever a change to this subpackage changes its images.
 _ALGORITHM = 2
@@ -55,6 +55,7 @@ def key_parts(
     **Raises** `ValueError` as `trace_visibility` does for several lights, `samples`, `sampler` and `supersampling`.
     """
     check_sampling(samples, sampler, supersampling, blockers)
+    check_known("key_parts", scene)
     known = scene if isinstance(scene, KeyedScene) else KeyedScene.of(scene)
     has_size = known.scene.light.has_size
     of_light = (int(samples), str(sampler), int(seed)) if has_size else (1, "centre", 0)

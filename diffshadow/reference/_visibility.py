@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int
 
+from .._checks import check_outside_trace
 from .._progress import showing
 from .._types import HostArray
 from ..geometry import AbstractLight, Mesh, Scene
@@ -62,8 +63,8 @@ def trace_visibility(
 
     **Returns:** a `Reference`.
 
-    **Raises** `ValueError` if the scene has several lights, the camera sees no surface, `samples`, `seed` or
-    `supersampling` is out of range, or `sampler` or `blockers` is unknown.
+    **Raises** `ValueError` under a trace, if the scene has several lights, the camera sees no surface, `samples`,
+    `seed` or `supersampling` is out of range, or `sampler` or `blockers` is unknown.
 
     !!! Example
 
@@ -90,6 +91,7 @@ def reference_from_image(visibility: Any, scene: Scene) -> Reference:
     **Raises** `ValueError` if the image's shape is not the camera's, a value lies outside [0, 1], or the camera sees no
     surface.
     """
+    check_known("reference_from_image", (visibility, scene))
     image = np.asarray(visibility)
     if image.shape != tuple(scene.camera.resolution):
         raise ValueError(
@@ -108,6 +110,12 @@ def reference_from_image(visibility: Any, scene: Scene) -> Reference:
     return job.reference(samples=0, visibility=np.where(job.face >= 0, image.reshape(-1), np.float32(1)))
 
 
+def check_known(name: str, given: Any) -> None:
+    """**Raises** `ValueError` if a scene or an image is traced; `name` is the function that it was given to."""
+    remedy = "trace outside, and pass the reference in, since rays are traced on the host and have no gradient"
+    check_outside_trace(name, "a scene and images of known numbers", remedy, given)
+
+
 def trace_with(
     make_tracer: Callable[[Triangles], AbstractTracer],
     scene: Scene,
@@ -119,6 +127,7 @@ def trace_with(
     blockers: Blockers,
 ) -> Reference:
     """`trace_visibility` with the tracer that `make_tracer` makes from the scene's triangles."""
+    check_known("trace_visibility", scene)
     check_sampling(samples, sampler, supersampling, blockers)
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise ValueError(f"seed is {seed!r}; expected an integer of 0 or more")

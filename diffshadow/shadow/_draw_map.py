@@ -4,12 +4,10 @@ import dataclasses
 from typing import Any, ClassVar
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
-from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from .._arithmetic import with_gradient_of
+from .._arithmetic import is_traced, with_gradient_of
 from .._checks import as_tuple, check_settings
 from .._padding import round_up_to_power_of_two
 from .._types import Faces, Resolution
@@ -264,7 +262,7 @@ def plan_crossings(mesh: Mesh, light: AbstractLight, resolution: Resolution, edg
 
     **Raises** `ValueError` under a trace.
     """
-    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((mesh, light, edges))):
+    if is_traced((mesh, light, edges)):
         raise ValueError(
             "a shadow map with edges was drawn inside jax.jit (or grad, or vmap) without crossings; expected their "
             "number, since shapes must be known there: call plan_crossings(...) outside, and pass its result to "

@@ -24,7 +24,7 @@ from ..settings.filters import Shape
 from ..settings.techniques import ProjectiveShadow as Settings
 from ._receiver import project
 from ._technique import AbstractTechnique
-from .kernels import Blur, bilinear_fetch, check_radius, radius_limit
+from .kernels import Blur, bilinear_fetch, check_radius, limit_radius
 
 LayerMap = Int[Array, "h w"]
 
@@ -57,7 +57,7 @@ class ProjectiveShadow(AbstractTechnique):
 
     - `resolution`: of the texture, (height, width) in texels.
     - `blur`: radius of the blur kernel, in texels; up to 0.5 nothing is blurred.
-    - `max_blur`: upper bound on `blur`. Defaults to `blur`; required if `blur` is traced.
+    - `max_blur`: upper bound on `blur`, in texels. Defaults to `blur`, or to 8 if that is traced.
     - `kernel`: `"box"`, whose radius is half its width, `"tent"` or `"gaussian"`, cut off at three standard deviations.
 
     Differentiable with respect to the blur and to where receivers fall in the texture. Coverage is sampled at texel
@@ -74,7 +74,7 @@ class ProjectiveShadow(AbstractTechnique):
     kernel: Shape = eqx.field(static=True, default=Settings.kernel, kw_only=True)
 
     def __post_init__(self):
-        self.max_blur = radius_limit(self.blur, self.max_blur)
+        limit_radius(self, "blur")
 
     def _check_rules(self):
         check_radius(self, "blur")

@@ -8,10 +8,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jax.core import Tracer
 from jaxtyping import Array, Int
 
-from .._arithmetic import in_unit_range
+from .._arithmetic import in_unit_range, is_traced
 from .._checks import check_instance
 from .._types import Mask, Visibility
 from ..geometry import AbstractCamera, AbstractLight, Edges, Mesh, Scene
@@ -111,7 +110,7 @@ class ShadowMapping(AbstractTechnique):
 
         **Raises** what `draw_shadow_map` and the layout raise, and `ValueError` without a plan where one is needed.
         """
-        if self.map.silhouettes and plan is None and _is_traced(scene):
+        if self.map.silhouettes and plan is None and is_traced(scene):
             raise ValueError(
                 "ShadowMapping.prepare was called inside jax.jit (or grad, or vmap) for a map with silhouettes, and no "
                 "plan was given; expected one: call plan = technique.plan(scene) outside, and "
@@ -155,10 +154,6 @@ class ShadowMapping(AbstractTechnique):
     def aliasing(self, state: ShadowMap, surface: Surface, camera: AbstractCamera) -> Aliasing:
         """How large the map's texels are on the screen of `camera`, which sees `surface`."""
         return _aliasing(self.layout, state, surface, camera)
-
-
-def _is_traced(scene: Scene) -> bool:
-    return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scene))
 
 
 @eqx.filter_jit

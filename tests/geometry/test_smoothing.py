@@ -79,12 +79,16 @@ def test_normals_turn_with_the_mesh_after_its_vertices_moved():
     index = 3
     pose = MeshPose.of(mesh, [index])
     turned = eqx.tree_at(lambda one: one.turn, pose, shifted(pose.turn, (0.0, 90.0, 0.0)))
-    both = eqx.tree_at(lambda one: one.vertices["3"], turned, shifted(pose.vertices["3"], (0.1, 0.2, -0.1))).placed(mesh)
+    both = eqx.tree_at(lambda one: one.vertices["3"], turned, shifted(pose.vertices["3"], (0.1, 0.2, -0.1))).placed(
+        mesh
+    )
     # The normals of the bent sides are the means over both of their triangles at shared corners: never far from either.
     cosines = jnp.sum(both.corner_normals * face_normals(both)[:, None], axis=-1)
     assert float(cosines.min()) > 0.95
     x, _, z = np.asarray(moved(mesh, index, (0.1, 0.2, -0.1)).corner_normals).reshape(-1, 3).T
-    np.testing.assert_allclose(np.asarray(both.corner_normals).reshape(-1, 3)[:, [0, 2]], np.stack([z, -x], 1), atol=1e-6)
+    np.testing.assert_allclose(
+        np.asarray(both.corner_normals).reshape(-1, 3)[:, [0, 2]], np.stack([z, -x], 1), atol=1e-6
+    )
 
 
 def test_derivatives_of_normals_are_those_of_differences():

@@ -2,6 +2,7 @@
 
 import math
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from diffshadow.metrics import (
     flicker,
     intersection_over_union,
     mae,
+    measure_aliasing,
     measure_errors,
     penumbra_width,
     psnr,
@@ -242,6 +244,24 @@ def test_flicker_is_the_change_of_the_error_and_not_of_the_shadow():
 def test_flicker_needs_frames_of_one_shape(shapes, said):
     with pytest.raises(ValueError, match=said):
         flicker(*map(np.zeros, shapes))
+
+
+@pytest.mark.parametrize(
+    "measure",
+    [
+        lambda x: rmse(x, np.ones((4, 4))),
+        lambda x: flicker(np.ones((2, 4, 4)), jnp.stack([x, x])),
+        lambda x: penumbra_width(x[0]),
+        lambda x: intersection_over_union(x, np.ones((4, 4))),
+        lambda x: count_self_intersections(x[:, :3], np.array([[0, 1, 2]])),
+        lambda x: measure_aliasing(x, np.ones((4, 4), bool)),
+    ],
+)
+def test_metrics_within_a_trace_are_refused_by_name(measure):
+    with pytest.raises(
+        ValueError, match=r"a metric was called inside jax.jit .or grad, or vmap.*written with jax.numpy"
+    ):
+        jax.grad(lambda x: measure(x * jnp.ones((4, 4))))(1.0)
 
 
 def test_flicker_needs_pixels_that_count_in_both_frames():

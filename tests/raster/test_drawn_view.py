@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 from scenes import quad, sun
 
-from diffshadow.geometry import MatrixCamera, Mesh, OrthographicCamera, PinholeCamera, Scene, library_mesh, merge, translation
+from diffshadow.geometry import (
+    MatrixCamera,
+    Mesh,
+    OrthographicCamera,
+    PinholeCamera,
+    Scene,
+    library_mesh,
+    merge,
+    translation,
+)
 from diffshadow.raster import draw_antialiased, draw_surface, drawn_view
 from diffshadow.shadow import ShadowVolumes
 

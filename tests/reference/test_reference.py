@@ -5,6 +5,8 @@ import gc
 import threading
 from types import SimpleNamespace
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -783,3 +785,25 @@ def test_a_part_hides_light_behind_another_part_and_of_any_of_several_lights():
     assert hides_light(scene, half_of(scene, 1))
     assert hides_light(scene, half_of(scene, 2))
     assert not hides_light(scene.lit_by(0), half_of(scene, 2))
+
+
+@pytest.mark.parametrize(
+    ("name", "call"),
+    [
+        ("trace_visibility", lambda scene, x: trace_visibility(scene, samples=1)),
+        ("trace_visibility", lambda scene, x: trace_visibility_exact(scene, samples=1)),
+        ("reference_from_image", lambda scene, x: reference_from_image(jnp.full((8, 8), x), scene)),
+        ("key_parts", lambda scene, x: key_parts(scene)),
+    ],
+)
+def test_a_traced_scene_is_refused_by_name(name, call):
+    scene = Scene([floor()], from_above(resolution=(8, 8)), sun())
+
+    @jax.jit
+    def traced(x):
+        moved = eqx.tree_at(lambda one: one.meshes[0].vertices, scene, scene.meshes[0].vertices + x)
+        call(moved, x)
+        return x
+
+    with pytest.raises(ValueError, match=rf"{name} was called inside jax.jit .or grad, or vmap.*trace outside"):
+        traced(0.5)

@@ -23,7 +23,8 @@ class ExponentialVarianceShadowMap(AbstractPrefiltered):
     surfaces around them.
 
     - `radius`: of the blur, in texels.
-    - `max_radius`: upper bound on `radius`, in texels. Defaults to `radius`; rounded up to a half texel.
+    - `max_radius`: upper bound on `radius`, in texels. Defaults to `radius`, or to 8 if that is traced; rounded up
+        to a half texel.
     - `kernel`: of the blur; all shapes end at the radius.
     - `positive_exponent`, `negative_exponent`: c₊ and c₋, for linear depth z from 0 at the light's near plane to 1 at
         its far plane.

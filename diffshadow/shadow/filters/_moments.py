@@ -26,7 +26,8 @@ class MomentShadowMap(AbstractPrefiltered):
     The bound is exact for two depths besides the receiver's, so light bleeds only with three occluders or more.
 
     - `radius`: of the blur, in texels.
-    - `max_radius`: upper bound on `radius`, in texels. Defaults to `radius`; rounded up to a half texel.
+    - `max_radius`: upper bound on `radius`, in texels. Defaults to `radius`, or to 8 if that is traced; rounded up
+        to a half texel.
     - `kernel`: of the blur; all shapes end at the radius.
     - `moment_bias`: weight with which moments are blended towards a broad distribution's moments, against rounding. A
         larger one bleeds more light.

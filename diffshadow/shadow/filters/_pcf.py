@@ -19,8 +19,8 @@ class PercentageCloser(AbstractSizedFilter):
     the bilinear compare; 2.5 covers 5 x 5 texels.
 
     - `radius`: half the box's width, in texels.
-    - `max_radius`: upper bound on `radius`, in texels; the number of taps grows with its square. Defaults to `radius`;
-        rounded up to a half texel.
+    - `max_radius`: upper bound on `radius`, in texels; the number of taps grows with its square. Defaults to `radius`,
+        or to 8 if that is traced; rounded up to a half texel.
 
     **Raises** `ValueError` if `radius` is above `max_radius`.
 

@@ -18,7 +18,7 @@ from ...settings.filters import Shape
 from .._compare import AbstractCompare
 from .._lookup import Lookup
 from .._map import ShadowMap
-from ..kernels import Blur, bilinear_fetch, check_radius, radius_limit
+from ..kernels import Blur, bilinear_fetch, check_radius, limit_radius
 from ._abstract import AbstractFilter
 
 
@@ -56,8 +56,8 @@ class AbstractPrefiltered(AbstractFilter):
     bilinearly. `compare` is ignored: the bound is already smooth. A bias moves the receiver, but a receiver plane depth
     bias has no effect.
 
-    - `radius`, `max_radius`, `kernel`: as in `Blur`. `max_radius` defaults to `radius`, and is rounded up to a half
-        texel.
+    - `radius`, `max_radius`, `kernel`: as in `Blur`. `max_radius` defaults to `radius`, or to 8 if that is traced,
+        and is rounded up to a half texel.
     - `light_bleeding`: as in `reduce_light_bleeding`.
     """
 
@@ -69,7 +69,7 @@ class AbstractPrefiltered(AbstractFilter):
     light_bleeding: AsScalar = eqx.field(converter=as_number, default=Settings.light_bleeding, kw_only=True)
 
     def __post_init__(self):
-        self.max_radius = radius_limit(self.radius, self.max_radius)
+        limit_radius(self)
 
     def _check_rules(self):
         check_radius(self)

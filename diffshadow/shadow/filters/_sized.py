@@ -11,7 +11,7 @@ from ...settings.filters import Sized as Settings
 from .._compare import AbstractCompare
 from .._lookup import Lookup
 from .._map import ShadowMap
-from ..kernels import AbstractRow, check_radius, radius_limit, sum_over_rows
+from ..kernels import AbstractRow, check_radius, limit_radius, sum_over_rows
 from ._abstract import AbstractFilter
 
 
@@ -19,8 +19,8 @@ class AbstractSizedFilter(AbstractFilter):
     """The weighted mean of compares with all texels under a kernel.
 
     - `radius`: half the kernel's width, in texels.
-    - `max_radius`: upper bound on `radius`, in texels; the number of taps grows with its square. Defaults to `radius`;
-        rounded up to a half texel.
+    - `max_radius`: upper bound on `radius`, in texels; the number of taps grows with its square. Defaults to `radius`,
+        or to 8 if that is traced; rounded up to a half texel.
 
     **Raises** `ValueError` if `radius` is above `max_radius`.
     """
@@ -31,7 +31,7 @@ class AbstractSizedFilter(AbstractFilter):
     max_radius: float | Any = eqx.field(static=True, default=None)
 
     def __post_init__(self):
-        self.max_radius = radius_limit(self.radius, self.max_radius)
+        limit_radius(self)
 
     def _check_rules(self):
         check_radius(self)

@@ -15,8 +15,8 @@ class Tent(AbstractSizedFilter):
     continuous derivative along the map, while a box's derivative has kinks.
 
     - `radius`: from the tent's peak to its edge, in texels.
-    - `max_radius`: upper bound on `radius`, in texels; the number of taps grows with its square. Defaults to `radius`;
-        rounded up to a half texel.
+    - `max_radius`: upper bound on `radius`, in texels; the number of taps grows with its square. Defaults to `radius`,
+        or to 8 if that is traced; rounded up to a half texel.
 
     **Raises** `ValueError` if `radius` is above `max_radius`.
     """

@@ -19,7 +19,8 @@ class VarianceShadowMap(AbstractPrefiltered):
     shadows.
 
     - `radius`: of the blur, in texels.
-    - `max_radius`: upper bound on `radius`, in texels. Defaults to `radius`; rounded up to a half texel.
+    - `max_radius`: upper bound on `radius`, in texels. Defaults to `radius`, or to 8 if that is traced; rounded up
+        to a half texel.
     - `kernel`: of the blur; all shapes end at the radius.
     - `least_variance`: lower bound on the variance of linear depth, which runs from 0 at the light's near plane to 1 at
         its far plane. It hides rounding errors and acne, and blurs contact shadows.

@@ -12,7 +12,7 @@ from ._atlas import Atlas as Atlas
 from ._blur import Blur as Blur
 from ._blur import bilinear_fetch as bilinear_fetch
 from ._blur import check_radius as check_radius
-from ._blur import radius_limit as radius_limit
+from ._blur import limit_radius as limit_radius
 from ._kernel import AbstractKernel as AbstractKernel
 from ._kernel import AbstractRow as AbstractRow
 from ._kernel import AbstractSizedRow as AbstractSizedRow

@@ -13,23 +13,42 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from ..._arithmetic import at_most, concrete, sums_along, take
+from ..._arithmetic import at_most, concrete, is_traced, sums_along, take
 from ..._checks import check_order, check_value
 from ..._types import DepthMap, Resolution, Scalar, TexelMap
 from ...settings.filters import Shape
 from ._separable import weight_between
 
 
-def radius_limit(radius: float | Scalar, max_radius: float | None) -> float:
-    """Upper bound on a kernel's radius, rounded up to half texels; `radius` itself if `max_radius` is left out.
+def limit_radius(module: Any, field: str = "radius") -> None:
+    """Sets the upper bound on a `module`'s radius: rounded up to half texels, and the radius itself if it was left out.
 
-    What makes no sense is returned as it is, for `check_radius`.
+    Under a trace, where the radius is not known, it is then `TRACED_RADIUS`, and a greater radius is a runtime error.
+    What makes no sense is left as it is, for `check_radius`.
     """
+    limit = f"max_{field}"
+    radius, greatest = getattr(module, field), getattr(module, limit)
+    if greatest is None and is_traced(radius):
+        message = (
+            f"{type(module).__name__}.{field} is above {TRACED_RADIUS:g} texels, the most for a {field} that is traced "
+            f"by JAX (in jax.jit, grad or vmap) without {limit}; expected an upper bound: pass {limit}=, in texels"
+        )
+        setattr(module, field, eqx.error_if(radius, lax.stop_gradient(radius) > TRACED_RADIUS, message))
+        setattr(module, limit, TRACED_RADIUS)
+    else:
+        setattr(module, limit, _radius_limit(radius, greatest))
+
+
+def _radius_limit(radius: Any, max_radius: Any) -> Any:
     given = radius if max_radius is None else max_radius
     known = concrete(given)
     if known is not None and not (known.dtype.kind in "iuf" and known.shape == () and 0 <= known < np.inf):
         return 1.0 if max_radius is None else max_radius
     return max(1.0, math.ceil(2 * float(given)) / 2)
+
+
+TRACED_RADIUS = 8.0
+"""Upper bound on a radius that is traced, in texels, where none was given: time and memory grow with its square."""
 
 
 def check_radius(module: Any, field: str = "radius") -> None:
