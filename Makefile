@@ -5,11 +5,14 @@ BIN := $(VENV)/bin
 # Written last, so that a set-up that was cut short never counts as done.
 STAMP := $(VENV)/.complete
 DOCS_STAMP := $(VENV)/.complete-docs
+MUTANTS_STAMP := $(VENV)/.complete-mutants
 CONFIG := configs/quickstart.yaml
 ARGS :=
 N := 10000
 SEED := 0
 CASE :=
+PATHS := diffshadow
+SAMPLE := 200
 # Tried in this order: the pinned packages are tested on 3.12 first.
 PYTHON := python3.12 python3.13 python3.14 python3 python
 UV := uv
@@ -23,7 +26,7 @@ export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup fit gallery docs test test-rest test-all fuzz faults lint types dist dist-check constraints clean
+.PHONY: help setup fit gallery docs test test-rest test-all fuzz mutants lint types dist dist-check constraints clean
 
 help: ## list these targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-12s %s\n", $$1, $$2}' Makefile
@@ -52,8 +55,8 @@ test-all: test test-rest ## run both
 fuzz: $(STAMP) ## feed the command random input and say what it does badly (N=300 SEED=1; CASE=17 does one again)
 	$(BIN)/python tests/fuzz/run.py --cases $(N) --seed $(SEED) $(if $(CASE),--case $(CASE)) $(ARGS)
 
-faults: $(STAMP) ## put known mistakes into a copy and say which test finds each (ARGS="--only bias")
-	$(BIN)/python tests/faults/run.py $(ARGS)
+mutants: $(MUTANTS_STAMP) ## put mistakes into a copy and say which the tests miss (PATHS=diffshadow/fit SAMPLE=20 SEED=1)
+	$(BIN)/python tests/mutants/run.py $(PATHS) --sample $(SAMPLE) --seed $(SEED) $(ARGS)
 
 lint: $(STAMP) ## check style and formatting
 	$(BIN)/ruff check .
@@ -73,12 +76,15 @@ constraints: ## pin the newest packages that fit together into constraints*.txt 
 	@$(UV) --version >/dev/null 2>&1 || { \
 	    echo "make constraints needs uv, which is not on the PATH: see docs.astral.sh/uv for how to install it." >&2; exit 2; }
 	$(UV) $(COMPILE) pyproject.toml --group dev --group build --output-file constraints.txt.new
-	$(UV) $(COMPILE) --group docs --constraint constraints.txt.new --output-file constraints-docs.txt.new
+	for group in docs mutants; do \
+	    $(UV) $(COMPILE) --group $$group --constraint constraints.txt.new \
+	        --output-file constraints-$$group.txt.new || exit 1; \
+	done
 	@if grep -n '://' constraints*.txt.new; then \
 	    echo "constraints*.txt would hold the addresses above; they are left as they were." >&2; \
 	    rm -f constraints*.txt.new; exit 1; fi
 	@mv constraints.txt.new constraints.txt
-	@mv constraints-docs.txt.new constraints-docs.txt
+	@for group in docs mutants; do mv constraints-$$group.txt.new constraints-$$group.txt; done
 
 clean: ## remove .venv and all caches
 	rm -rf $(VENV) .pytest_cache .ruff_cache .hypothesis build dist site constraints*.txt.new
@@ -143,12 +149,13 @@ $(STAMP): pyproject.toml constraints.txt
 	touch $@; \
 	echo "$(VENV) is ready."
 
-# The packages of the site alone: the everyday set-up is spared them.
-$(DOCS_STAMP): $(STAMP) constraints-docs.txt
+# The packages of the site, and of the mutation tester, which are not part of the everyday set-up. One of the latter is
+# plain Python without a wheel.
+$(DOCS_STAMP) $(MUTANTS_STAMP): $(VENV)/.complete-%: $(STAMP) constraints-%.txt
 	@rm -f $@; \
 	if $(UV) --version >/dev/null 2>&1; then \
-	    $(UV) pip install --quiet --python $(BIN)/python --no-build --requirement constraints-docs.txt; \
+	    $(UV) pip install --quiet --python $(BIN)/python --requirement constraints-$*.txt; \
 	else \
-	    $(PIP) --only-binary :all: --requirement constraints-docs.txt; \
-	fi || { echo "The packages of the site were not installed; the message above says why." >&2; exit 1; }
+	    $(PIP) --prefer-binary --requirement constraints-$*.txt; \
+	fi || { echo "The packages of constraints-$*.txt were not installed; the message above says why." >&2; exit 1; }
 	@touch $@

@@ -1,8 +1,11 @@
-"""Puts the mistakes of `faults.py` into a copy of the repository, one at a time, and says which test finds each.
+"""Puts mistakes into a copy of the repository, one at a time, and says which everyday test finds each.
 
-make faults                             all of them, by the tests that are likely to see them
-make faults ARGS="--only receiver"      those whose name or file has this word
-make faults ARGS="--list"               what there is
+make mutants                                        200 mutants of the whole package, drawn with seed 0
+make mutants PATHS="diffshadow/fit" SAMPLE=50 SEED=7    50 of some files or folders
+make mutants ARGS="--kept"                          the mistakes of kept.yaml, which no operator makes
+
+The tests that mirror a module run first, and the whole everyday suite runs for what they miss. The last lines list the
+survivors and give the score.
 """
 
 import argparse
@@ -23,7 +26,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from faults import FAULTS, Fault
+from draw import Mutant, draw
+from kept import KEPT, Kept
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = "diffshadow"
@@ -59,17 +63,20 @@ CAUGHT, AT_IMPORT, CRASHES, HANGS = "caught", "caught at import", "caught by a c
 MISSED, NOT_THERE, UNKNOWN = "NOT CAUGHT", "does not apply", "no verdict"
 
 
-class Verdict(NamedTuple):
-    """What became of a fault: one of the words above; the test that found it, or what else there is to say; seconds."""
+Mistake = Mutant | Kept
 
-    fault: Fault
+
+class Verdict(NamedTuple):
+    """What became of a mistake: one of the words above, the test that found it or another remark, and seconds."""
+
+    mistake: Mistake
     verdict: str
     what: str
     seconds: float
 
     def __str__(self) -> str:
         by = self.what and f" ({self.what})"
-        return f"{self.fault.file}: {self.fault.name}: {self.verdict}{by}, {self.seconds:.0f} s"
+        return f"{self.mistake.file}: {self.mistake.name}: {self.verdict}{by}, {self.seconds:.0f} s"
 
 
 class Copy:
@@ -97,19 +104,20 @@ class Copy:
         if done.returncode != 0 or not Path(found).is_relative_to(self.root):
             raise RuntimeError(f"Python imports {found!r} in {self.root}; expected the package that lies there")
 
-    def examine(self, fault: Fault, marks: str, whole: bool) -> Verdict:
-        """What the fault's tests, or else the `whole` suite, make of it; the file is then as before."""
+    def examine(self, mistake: Mistake, marks: str, whole: bool) -> Verdict:
+        """What the mistake's tests, or else the `whole` suite, make of it; the file is then as before."""
         began = time.perf_counter()
-        judged = lambda verdict, what="": Verdict(fault, verdict, what, time.perf_counter() - began)
-        file = self.root / PACKAGE / fault.file
+        judged = lambda verdict, what="": Verdict(mistake, verdict, what, time.perf_counter() - began)
+        file = self.root / PACKAGE / mistake.file
         before = file.read_text(encoding="utf-8") if file.is_file() else ""
-        if (count := before.count(fault.old)) != 1:
-            return judged(NOT_THERE, f"its text occurs {count} times")
+        after = mistake.changed(before)
+        if after is None:
+            return judged(NOT_THERE, "its text is not in its place exactly once")
         try:
-            self._write(file, before.replace(fault.old, fault.new))
-            verdict, what = self._tested(fault, marks, self._files(fault))
+            self._write(file, after)
+            verdict, what = self._tested(mistake, marks, self._files(mistake))
             if verdict == MISSED and whole:
-                verdict, what = self._tested(fault, marks, ["tests"])
+                verdict, what = self._tested(mistake, marks, ["tests"])
         finally:
             self._write(file, before)
         return judged(verdict, what)
@@ -132,10 +140,11 @@ class Copy:
             self._forks.communicate()
             self._forks = None
 
-    def _files(self, fault: Fault) -> list[str]:
-        return [str(path.relative_to(self.root)) for name in fault.tests for path in (self.root / "tests").rglob(name)]
+    def _files(self, mistake: Mistake) -> list[str]:
+        found = (path for name in mistake.tests for path in (self.root / "tests").rglob(name))
+        return [str(path.relative_to(self.root)) for path in found]
 
-    def _tested(self, fault: Fault, marks: str, files: Sequence[str]) -> tuple[str, str]:
+    def _tested(self, mistake: Mistake, marks: str, files: Sequence[str]) -> tuple[str, str]:
         code, failed, said = self._pytest("-m", marks, *files)
         if code is None:
             return HANGS, ""
@@ -145,7 +154,7 @@ class Copy:
             return MISSED, ", ".join(files)
         if code == 1 and failed:
             return CAUGHT, failed[0]
-        module = f"{PACKAGE}/{fault.file}".removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+        module = f"{PACKAGE}/{mistake.file}".removesuffix(".py").removesuffix("/__init__").replace("/", ".")
         if self._python(f"import {module}").returncode != 0:
             return AT_IMPORT, ""
         return UNKNOWN, f"pytest ended with {code}: {said.strip().rpartition(chr(10))[2]}"
@@ -186,13 +195,15 @@ class Copy:
         os.utime(file, (changed, changed))
 
 
-def examined(faults: Sequence[Fault], workers: int, marks: str, whole: bool, root: Path = ROOT) -> Iterator[Verdict]:
-    """The verdict on each fault, as they come, from so many copies at once."""
-    waiting: queue.SimpleQueue[Fault] = queue.SimpleQueue()
+def examined(
+    mistakes: Sequence[Mistake], workers: int, marks: str, whole: bool, root: Path = ROOT
+) -> Iterator[Verdict]:
+    """The verdict on each mistake, as they come, from so many copies at once."""
+    waiting: queue.SimpleQueue[Mistake] = queue.SimpleQueue()
     done: queue.SimpleQueue[Verdict | BaseException] = queue.SimpleQueue()
     stopped = threading.Event()
-    for fault in faults:
-        waiting.put(fault)
+    for mistake in mistakes:
+        waiting.put(mistake)
 
     def work(copy: Copy) -> None:
         try:
@@ -206,13 +217,13 @@ def examined(faults: Sequence[Fault], workers: int, marks: str, whole: bool, roo
         finally:
             copy.close()
 
-    with tempfile.TemporaryDirectory(prefix="faults-") as folder:
-        copies = [Copy(root, Path(folder).resolve() / str(i)) for i in range(min(workers, len(faults)))]
+    with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
+        copies = [Copy(root, Path(folder).resolve() / str(i)) for i in range(min(workers, len(mistakes)))]
         threads = [threading.Thread(target=work, args=(copy,), daemon=True) for copy in copies]
         try:
             for thread in threads:
                 thread.start()
-            for _ in faults:
+            for _ in mistakes:
                 found = done.get()
                 if isinstance(found, BaseException):
                     raise found
@@ -226,11 +237,11 @@ def examined(faults: Sequence[Fault], workers: int, marks: str, whole: bool, roo
 
 
 def confirmed(verdicts: Sequence[Verdict], root: Path = ROOT) -> list[Verdict]:
-    """The verdicts, but none where the test that caught a fault fails without it too."""
+    """The verdicts, but none where the test that caught a mistake fails without it too."""
     tests = sorted({each.what for each in verdicts if each.verdict == CAUGHT})
     if not tests:
         return list(verdicts)
-    with tempfile.TemporaryDirectory(prefix="faults-") as folder:
+    with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         copy = Copy(root, Path(folder).resolve() / "clean")
         try:
             failing = copy.failing(tests)
@@ -240,48 +251,60 @@ def confirmed(verdicts: Sequence[Verdict], root: Path = ROOT) -> list[Verdict]:
     return [each._replace(verdict=UNKNOWN) if doubtful(each) else each for each in verdicts]
 
 
-def _chosen(words: str | None) -> list[Fault]:
-    return [fault for fault in FAULTS if words is None or words.lower() in f"{fault.file}: {fault.name}".lower()]
-
-
 def _without_doubt(verdicts: list[Verdict]) -> list[Verdict]:
     sure = confirmed(verdicts)
     for before, after in zip(verdicts, sure, strict=True):
         if after != before:
-            print(f"{after.what} fails without {after.fault.name!r} too: that counts for nothing")
+            print(f"{after.what} fails without {after.mistake.name!r} too: that counts for nothing")
     return sure
+
+
+def _drawn(paths: Sequence[str], count: int, seed: int) -> list[Mutant]:
+    files = [
+        file for path in paths for file in ([ROOT / path] if path.endswith(".py") else (ROOT / path).rglob("*.py"))
+    ]
+    if not files:
+        sys.exit(f"{' '.join(paths)}: no Python files; expected files or folders of {PACKAGE}/, such as {PACKAGE}/fit")
+    try:
+        return list(draw(ROOT / PACKAGE, ROOT / "tests", files, count, seed))
+    except ModuleNotFoundError as error:
+        sys.exit(f"{error}; expected cosmic-ray: run make mutants, which installs it")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", metavar="WORDS", help="faults whose file or name contains these words")
-    parser.add_argument("--list", action="store_true", help="only say which there are")
+    parser.add_argument("paths", nargs="*", default=[PACKAGE], metavar="PATH", help="files or folders to mutate")
+    parser.add_argument("--sample", type=int, default=200, metavar="N", help="how many mutants to draw")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the draw")
+    parser.add_argument("--kept", action="store_true", help="the mistakes of kept.yaml in place of mutants")
+    parser.add_argument("--list", action="store_true", help="only list them")
     parser.add_argument("--all", action="store_true", help="run exhaustive tests too")
-    parser.add_argument("--whole", action="store_true", help="run the whole suite where a fault's own tests miss it")
+    parser.add_argument("--mirrors", action="store_true", help="run only the tests that mirror a module")
     parser.add_argument("--workers", type=int, default=2, metavar="N", help="copies that work at once")
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write all verdicts to this file")
     asked = parser.parse_args()
-    faults = _chosen(asked.only)
-    if not faults or asked.list:
-        for fault in faults:
-            print(f"{fault.file}: {fault.name} ({', '.join(fault.tests)})")
-        print(f"{len(faults)} of {len(FAULTS)} faults")
+    mistakes = list(KEPT) if asked.kept else _drawn(asked.paths, asked.sample, asked.seed)
+    if asked.list:
+        print(*(f"{each.file}: {each.name} ({', '.join(each.tests)})" for each in mistakes), sep="\n")
         return
-    marks, verdicts = "" if asked.all else "not exhaustive", []
+    verdicts: list[Verdict] = []
     try:
-        for verdict in examined(faults, asked.workers, marks, asked.whole):
+        for verdict in examined(mistakes, asked.workers, "" if asked.all else "not exhaustive", not asked.mirrors):
             verdicts.append(verdict)
-            print(f"[{len(verdicts)}/{len(faults)}] {verdict}", flush=True)
+            print(f"[{len(verdicts)}/{len(mistakes)}] {verdict}", flush=True)
         verdicts = _without_doubt(verdicts)
     except KeyboardInterrupt:
         print("interrupted")
-    counts = Counter(verdict.verdict for verdict in verdicts)
-    print(f"{len(verdicts)} of {len(faults)} faults: {', '.join(f'{n} {word}' for word, n in counts.most_common())}")
     if asked.json is not None:
-        keys = ("name", "file", "verdict", "what", "seconds")
-        rows = [(v.fault.name, v.fault.file, v.verdict, v.what, round(v.seconds, 1)) for v in verdicts]
+        keys = ("file", "name", "verdict", "what", "seconds")
+        rows = [(v.mistake.file, v.mistake.name, v.verdict, v.what, round(v.seconds, 1)) for v in verdicts]
         asked.json.write_text(json.dumps([dict(zip(keys, row, strict=True)) for row in rows], indent=1) + "\n")
-    sys.exit(any(verdict.verdict in (MISSED, NOT_THERE, UNKNOWN) for verdict in verdicts))
+    survivors = [each for each in verdicts if each.verdict in (MISSED, NOT_THERE, UNKNOWN)]
+    print(*(f"{each.verdict}: {each.mistake.file}: {each.mistake.name}" for each in survivors), sep="\n")
+    counts = Counter(verdict.verdict for verdict in verdicts)
+    killed = len(verdicts) - len(survivors)
+    print(f"{killed} of {len(verdicts)} killed, {killed / max(len(verdicts), 1):.0%}: {dict(counts)}")
+    sys.exit(asked.kept and bool(survivors))
 
 
 if __name__ == "__main__":
