@@ -19,9 +19,11 @@ from .._arithmetic import dot, is_traced, take
 from .._types import Faces, Scalar
 from ..geometry import Mesh, View, eye_of
 
-# The near distance is at least this fraction of the nearest surface's: at `k` times that distance, steps of depth are
-# then k / 2¹⁸ of it. A parallel view's window is at most so many times as deep as the mesh.
+# The near distance of a view that is fine is not as many times less than the nearest surface's distance, and a parallel
+# view's window not as many times deeper than the mesh.
 _SLACK = 64
+# Nor is it as many times less than the farthest surface's, whose steps of depth are then 2⁻¹² of its distance.
+_RANGE = 4096
 
 
 def drawn_view(view: View, mesh: Mesh) -> View:
@@ -48,13 +50,12 @@ def _moved(view: View, mesh: Mesh) -> View:
     fixed, vertices = lax.stop_gradient((view, mesh.vertices))
     distance = fixed.distance(vertices)
     if view.is_perspective:
-        nearest = lax.cond(
-            _SLACK * fixed.near > jnp.max(distance, initial=0),
-            lambda: fixed.near,
-            lambda: _nearest(fixed, vertices, mesh.faces),
-        )
-        near, far = jnp.maximum(fixed.near, nearest / _SLACK), fixed.far
-        moves = near > fixed.near
+        farthest = jnp.max(distance, initial=0)
+        is_fine = _SLACK * fixed.near > farthest
+        near = lax.cond(is_fine, lambda: fixed.near, lambda: _nearest(fixed, vertices, mesh.faces) / 2)
+        far = fixed.far
+        too_near = (_SLACK * fixed.near < 2 * near) | (_RANGE * fixed.near < jnp.minimum(farthest, far))
+        moves = too_near & (near > fixed.near)
         row = [0, 0, -(far + near) / (far - near), -2 * near * (far / (far - near))]
     else:
         low, high = jnp.maximum(fixed.near, jnp.min(distance)), jnp.minimum(fixed.far, jnp.max(distance))

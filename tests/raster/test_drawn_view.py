@@ -75,12 +75,21 @@ def test_what_lies_before_the_near_plane_and_beyond_the_far_plane_stays_cut_away
     assert 0.05 < np.mean(behind < 0) < 0.95
 
 
+def test_a_small_near_distance_changes_no_face_before_a_surface_close_to_the_eye():
+    """The image shows a card a hundredth of the scene's distance away, and the floor up to 9 away."""
+    card = quad((0.283, 1.97, 2.96), (0.008, 0, -0.0008), (0, 0.00694, -0.00393))
+    both = merge([SCENE, card])
+    expected = faces(both, pinhole(0.02))
+    np.testing.assert_array_equal(faces(both, pinhole(1e-7)), expected)
+    assert 0.02 < np.mean(expected >= len(SCENE.faces)) < 0.5
+
+
 def test_near_is_raised_to_a_part_of_the_nearest_surface():
     # Straight above the floor's edge: the nearest surface that the image shows lies in its lower corners.
     camera = PinholeCamera((0, 2, 0), (0, 0, -2), fov_y=60, near=1e-5, far=50, resolution=(32, 32))
     view = drawn_view(camera.view(), quad((0, 0, 0), (9, 0, 0), (0, 0, -9)))
     # The plane lies 2 below the eye; rays through corners leave the axis by atan(√2 tan 30°).
-    assert float(view.near) == pytest.approx(2 / np.sqrt(1 + 2 * np.tan(np.pi / 6) ** 2) / 64, rel=1e-5)
+    assert float(view.near) == pytest.approx(2 / np.sqrt(1 + 2 * np.tan(np.pi / 6) ** 2) / 2, rel=1e-5)
     fine = dataclasses.replace(camera, near=0.2).view()
     assert drawn_view(fine, FLOOR) is fine
 
