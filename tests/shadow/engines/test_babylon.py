@@ -1,7 +1,6 @@
 """Babylon.js' shadows against pictures that Babylon.js drew."""
 
 import dataclasses
-from types import SimpleNamespace
 
 import equinox as eqx
 import jax
@@ -12,11 +11,10 @@ from engine_states import agreement, scene_of, surface_of
 from golden_engines import engine_golden, engine_goldens
 from scenes import marked
 
-from diffshadow.geometry import DirectionalLight, MatrixLight, Mesh, SpotLight
+from diffshadow.geometry import DirectionalLight, MatrixLight, SpotLight
 from diffshadow.raster import Surface
 from diffshadow.shadow import BabylonJs, EngineMap, SoftCompare
-from diffshadow.shadow.engines import _abstract, _babylon, _engine_map
-from diffshadow.shadow.engines._abstract import Place
+from diffshadow.shadow.engines import _babylon
 from diffshadow.shadow.engines._textures import bilinear
 
 pytestmark = pytest.mark.optimized
@@ -373,55 +371,3 @@ def test_a_changed_setting_is_distinguished(kind):
             if agreement(golden, from_own_map(golden, CHANGES[what](right))) < DIFFERENT:
                 missed.remove(what)
     assert not missed
-
-
-def without_a_mirror(*given, **_):
-    return _engine_map.map_of(*given[:4])
-
-
-def read_from_the_left(points, view, resolution, is_mirrored):
-    return Place.of(points, view, resolution)
-
-
-def along_the_axis(depth, light):
-    near, far = light.near, light.far
-    return (near * far / (far - depth * (far - near)) + near) / (near + far)
-
-
-def with_the_bias_once(settings, state):
-    metric = _babylon.metric_in_window(state.depth, state.light.view())
-    return _babylon._color(settings, metric, state.depth < 1)
-
-
-def by_the_whole_normal(mesh, light, normal_bias):
-    vertices = mesh.vertices[mesh.faces] - normal_bias * mesh.corner_normals
-    return Mesh(vertices.reshape(-1, 3), np.arange(vertices.shape[0] * 3).reshape(-1, 3), mesh.corner_normals)
-
-
-HIDDEN = {
-    "mirrored map": (_abstract, "map_of", without_a_mirror, "directional_none_bias"),
-    "mirrored cube map": (_abstract, "map_of", without_a_mirror, "point_none_bias"),
-    "mirrored look-up": (_babylon, "Place", SimpleNamespace(of=read_from_the_left), "spot_pcf_bias"),
-    "direction of the taps": (_babylon, "POISSON", _babylon.POISSON * [-1, 1], "directional_poisson"),
-    "direction of a cube's taps": (_babylon, "POISSON_CUBE", _babylon.POISSON_CUBE * [1, -1, 1], "point_poisson"),
-    "half floats": (_babylon, "as_half", lambda x: x, "directional_none_half_float"),
-    "half floats of exponentials": (_babylon, "as_half", lambda x: x, "directional_esm_half_float"),
-    "linear depth": (_babylon, "metric_in_window", lambda depth, view: depth, "spot_none_bias"),
-    "radial depth": (_babylon, "metric_in_cube", along_the_axis, "point_none_bias"),
-    "1.5 times the bias": (_babylon, "_color_of_pushed", with_the_bias_once, "directional_pcss_high"),
-    "least penumbra": (_babylon, "_MIN_PENUMBRA", 0.0, "directional_pcss_high"),
-    "sine of normal bias": (_babylon, "shrunk", by_the_whole_normal, "directional_none_normal_bias"),
-}
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("what", HIDDEN)
-def test_a_hidden_term_left_out_is_distinguished(what, monkeypatch):
-    module, term, value, name = HIDDEN[what]
-    golden = engine_golden("babylon", name)
-    right = preset(golden)
-    # The functions that are replaced are traced again.
-    monkeypatch.setattr(type(right), "visibility", lambda *given: traced_again(*given))
-    assert agreement(golden, from_own_map(golden, right)) >= ENOUGH_BY_OWN_MAP
-    monkeypatch.setattr(module, term, value)
-    assert agreement(golden, from_own_map(golden, right)) < DIFFERENT

@@ -12,7 +12,7 @@ from scenes import marked
 
 from diffshadow.raster import draw_surface
 from diffshadow.shadow import ThreeJs
-from diffshadow.shadow.engines import _three, _variance
+from diffshadow.shadow.engines import _variance
 
 pytestmark = pytest.mark.optimized
 
@@ -245,29 +245,3 @@ def plain(x):
 
 def no_noise(shape, first):
     return jnp.zeros(shape)
-
-
-HIDDEN = {
-    "rotation of the taps": (_three, "interleaved_gradient_noise", no_noise, "directional_pcf_radius_4"),
-    "half floats": (_variance, "as_half", plain, "directional_vsm_radius_4"),
-    "cut of light bleeding": (_variance, "_BLEEDING", 0.0, "directional_vsm_radius_4"),
-    "sides that cast": (
-        _three,
-        "OTHER_SIDE",
-        {one: one for one in ("front", "back", "double")},
-        "directional_basic_default_sides",
-    ),
-}
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("what", HIDDEN)
-def test_a_hidden_term_left_out_is_distinguished(what, monkeypatch):
-    module, constant, value, name = HIDDEN[what]
-    golden = engine_golden("three", name)
-    monkeypatch.setattr(module, constant, value)
-    if constant == "OTHER_SIDE":
-        assert agreement(golden, from_own_map(golden, preset(golden))) < 0.999
-        return
-    with jax.disable_jit():
-        assert agreement(golden, from_read_back(golden, preset(golden))) < ENOUGH

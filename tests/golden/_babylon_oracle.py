@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from three_oracle import cube_fetch, cube_nearest, cube_texel, f32, footprint, nearest
+from _three_oracle import cube_fetch, cube_nearest, cube_texel, f32, footprint, nearest
 
 POISSON = np.array(
     [(-0.94201624, -0.39906216), (0.94558609, -0.76890725), (-0.094184101, -0.92938870), (0.34495938, 0.29387760)]
