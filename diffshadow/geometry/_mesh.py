@@ -171,9 +171,8 @@ class Mesh(eqx.Module):
         colours, textures = self.corner_colours, self.textures
         if colours is not None or textures is not None:
             mirrored = jnp.linalg.det(matrix[:3, :3]) < 0
-            turned = lambda corners: jnp.where(mirrored, corners[:, ::-1], corners)
-            colours = None if colours is None else turned(colours)
-            textures = None if textures is None else eqx.tree_at(lambda one: one.uv, textures, turned(textures.uv))
+            colours = None if colours is None else jnp.where(mirrored, colours[:, ::-1], colours)
+            textures = None if textures is None else textures.turned(mirrored)
         return Mesh(vertices, faces, normals, self.albedo, colours, textures)
 
     def _repr_html_(self) -> str | None:
