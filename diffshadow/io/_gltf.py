@@ -19,7 +19,7 @@ from ._errors import Faults, MeshError, damaged
 from ._gltf_data import Buffers, Form, NoDataError, chunks, item, unread
 from ._gltf_materials import BaseColour, Materials
 from ._gltf_schema import DRACO, INSTANCES, VISIBILITY, Document, Node, Primitive, not_obeyed, parse
-from ._looks import Looks, Texture
+from ._looks import Looks
 from ._polygons import Polygons, repeated, strip_triangles
 from ._text import excerpt
 
@@ -107,21 +107,24 @@ def _looks(parts: Sequence[Part]) -> Looks | None:
     if all(look.factor is None and look.colours is None for look in looks):
         return None
     vertices, faces = [len(part.vertices) for part in parts], [len(part.faces) for part in parts]
-    coloured, mapped = (any(getattr(look, name) is not None for look in looks) for name in ("colours", "uv"))
-    rows = lambda values, count, fill, width: np.full((count, width), fill, float) if values is None else values
-    each = zip(looks, vertices, strict=True)
-    by_vertex = [(rows(look.colours, count, 1, 3), rows(look.uv, count, 0, 2)) for look, count in each]
-    # By picture and cutoff.
-    textures = {(id(look.picture), look.cutoff): look for look in looks if look.picture is not None}
-    numbers = {key: number for number, key in enumerate(textures)}
-    index = [numbers.get((id(look.picture), look.cutoff), NO_TEXTURE) for look in looks]
+
+    def by_vertex(name: str, missing: Sequence[float] | float) -> HostArray | None:
+        given = [getattr(look, name) for look in looks]
+        if all(values is None for values in given):
+            return None
+        rows = lambda count: np.tile(np.asarray(missing, float), (count, *[1] * np.ndim(missing)))
+        return np.concatenate([rows(count) if of is None else of for of, count in zip(given, vertices, strict=True)])
+
+    textures = list(dict.fromkeys(look.texture for look in looks if look.texture is not None))
+    index = [NO_TEXTURE if look.texture is None else textures.index(look.texture) for look in looks]
     factors = [np.ones(3) if look.factor is None else look.factor for look in looks]
     return Looks(
-        np.concatenate([colours for colours, _ in by_vertex]) if coloured else None,
-        np.concatenate([uv for _, uv in by_vertex]) if mapped else None,
+        by_vertex("colours", (1, 1, 1)),
+        by_vertex("uv", (0, 0)),
         np.repeat(factors, faces, axis=0),
         np.repeat(index, faces),
-        [Texture(look.picture, look.cutoff) for look in textures.values() if look.picture is not None],
+        textures,
+        by_vertex("alpha", 1),
     )
 
 

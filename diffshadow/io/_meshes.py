@@ -11,11 +11,11 @@ from jaxtyping import Float, Int
 
 from .._types import HostArray
 from ..geometry import Mesh, crease_normals, step_of, weld
-from ..settings.scene import GLTF_SUFFIXES
+from ..settings.scene import GLTF_SUFFIXES, TexelFilter, Wraps
 from ._errors import FileError, MeshError, MeshWarning, damaged
 from ._gltf import read_gltf
 from ._gltf_data import files_beside
-from ._looks import Looks, MeshLooks, Picture, Texture, looks_of_triangles, read_texture
+from ._looks import GivenTexture, Looks, MeshLooks, Picture, looks_of_triangles, read_texture
 from ._obj import read_obj
 from ._off import read_off
 from ._paths import existing_file, on_disk
@@ -51,6 +51,8 @@ def load_mesh(
     albedo: Sequence[float] | None = None,
     texture: str | os.PathLike[str] | None = None,
     alpha_cutoff: float | None = None,
+    texture_wrap: Wraps | None = None,
+    texture_filter: TexelFilter | None = None,
 ) -> Mesh:
     """Reads a mesh from a file: OBJ, PLY, STL, OFF, GLB, glTF 2.0, or a format that trimesh reads.
 
@@ -71,8 +73,12 @@ def load_mesh(
         file without these.
     - `texture`: the file of an image, sRGB, that takes the place of all textures; the file must have texture
         coordinates, which are read from OBJ, PLY, GLB and glTF.
-    - `alpha_cutoff`: alpha of textures, in [0, 1], below which faces are cut out; 0 for no alpha test; if left out, as
-        the file says.
+    - `alpha_cutoff`: alpha in [0, 1], of textures times that of the vertices of PLY, GLB and glTF, below which faces
+        are cut out; 0 for no alpha test; if left out, as the file says.
+    - `texture_wrap`: what textures show beyond their images: `"repeat"`, `"clamp"` or `"mirror"`, or a pair of these
+        along u and v; if left out, as the file says, or repeat.
+    - `texture_filter`: what they show between texels: `"linear"` or `"nearest"`; if left out, as the file says, or
+        linear.
 
     **Returns:** the mesh in the file's units and axes; use `fit_to_size` and `drop_to_ground` to place it in a scene.
     Under `jax.enable_x64` its vertices are float64, which a mesh far from the file's origin needs.
@@ -84,7 +90,8 @@ def load_mesh(
     **Raises** `FileError` if the file is missing, damaged, in an unknown format or in one whose package is missing,
     requires an unsupported extension of its format, has a polygon that crosses itself, holds no triangles, or holds
     vertices that are not finite; without a `crease_angle` if it has no normals, or some that are not finite; with a
-    `texture` if that cannot be read, or there are no texture coordinates; and with an `alpha_cutoff` without textures.
+    `texture` if that cannot be read, or there are no texture coordinates; with an `alpha_cutoff` without textures and
+    without alpha of vertices; and with a `texture_wrap` or a `texture_filter` without textures.
 
     !!! Example
 
@@ -105,8 +112,9 @@ def load_mesh(
         triangles = triangulate(polygons)
         vertices, faces, kept = weld(polygons.vertices, triangles)
         normals = _own_normals(polygons)[triangles[kept]] if crease_angle is None else None
-        own = None if texture is None else Texture(_image(texture))
-        looks = _looks(polygons, triangles[kept], kept, own, alpha_cutoff)
+        picture = None if texture is None else _image(texture)
+        given = GivenTexture(picture, alpha_cutoff, texture_wrap, texture_filter)
+        looks = _looks(polygons, triangles[kept], kept, given)
     except MeshError as fault:
         raise FileError(f"the mesh file {file} {fault}") from fault
     except OSError as error:
@@ -159,20 +167,21 @@ def _looks(
     polygons: Polygons,
     triangles: Int[HostArray, "t 3"],
     number: Int[HostArray, " t"],
-    texture: Texture | None,
-    alpha_cutoff: float | None,
+    given: GivenTexture,
 ) -> MeshLooks:
     """The colours and textures of triangles with these numbers among all of the file.
 
-    **Raises** `MeshError` for a texture without coordinates, and a cutoff without textures.
+    **Raises** `MeshError` for a texture without coordinates, and a cutoff or a sampler without textures.
     """
     polygon = np.repeat(np.arange(len(polygons.sizes)), np.maximum(polygons.sizes - 2, 0))[number]
-    looks = looks_of_triangles(polygons.looks or Looks(), triangles, polygon, texture, alpha_cutoff)
-    if alpha_cutoff is not None and looks.textures is None:
-        raise MeshError(
-            f"has no textures, and alpha_cutoff {alpha_cutoff} was given; expected a texture with it: give one, or "
-            "leave alpha_cutoff out"
-        )
+    looks = looks_of_triangles(polygons.looks or Looks(), triangles, polygon, given)
+    names = {"alpha_cutoff": given.cutoff, "texture_wrap": given.wrap, "texture_filter": given.filter}
+    for name, value in names.items():
+        if value is not None and looks.textures is None:
+            raise MeshError(
+                f"has no textures, and {name} {value} was given; expected a texture with it: give one, or leave {name} "
+                "out"
+            )
     return looks
 
 

@@ -31,7 +31,6 @@ from .._gltf_schema import (
     Node,
     parse,
 )
-from .._looks import Texture
 from .._text import excerpt
 from ._parts import SceneCamera, SceneFile, SceneLight, SceneMesh, Vector
 
@@ -64,7 +63,7 @@ def read_gltf_scene(data: bytes, folder: Path) -> SceneFile:
         emits = any(material.emissive_factor) or UNLIT in material.extensions
         mesh = SceneMesh(name, part.vertices, part.faces, part.normals, side, emits=emits, **_look(part.look))
         meshes.append(mesh._replace(**_shadows(part.node)))
-        has = part.normals is not None, part.look.picture is not None
+        has = part.normals is not None, part.look.texture is not None
         remarks += [f"{name}: {remark}" for remark in _remarks(material, *has)]
     fault = faults.error()
     if fault is not None and not meshes:
@@ -93,8 +92,10 @@ def _look(look: BaseColour) -> dict[str, Any]:
     found: dict[str, Any] = {"colours": look.colours}
     if look.factor is not None:
         found["colour"] = _vector(look.factor)
-    if look.picture is not None:
-        found |= {"uv": look.uv, "texture": Texture(look.picture, look.cutoff)}
+    texture = look.texture
+    if texture is not None:
+        found |= {"texture": texture, "alpha": None if texture.cutoff is None else look.alpha}
+        found |= {} if texture.picture is None else {"uv": look.uv}
     return found
 
 

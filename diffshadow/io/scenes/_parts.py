@@ -24,6 +24,7 @@ class SceneMesh(NamedTuple):
     - `emits`: whether its material shines, or is drawn as if it did.
     - `colours`: (v, 3), linear, of the vertices; none if they have none.
     - `uv`, `texture`: (v, 2), texture coordinates, and the texture that `colour` is multiplied by; or none.
+    - `alpha`: (v,), of the vertices, which the texture's alpha test multiplies by its alpha; none if all are 1.
     """
 
     name: str
@@ -40,6 +41,7 @@ class SceneMesh(NamedTuple):
     colours: Float[HostArray, "v 3"] | None = None
     uv: Float[HostArray, "v 2"] | None = None
     texture: Texture | None = None
+    alpha: Float[HostArray, " v"] | None = None
 
 
 class SceneCamera(NamedTuple):

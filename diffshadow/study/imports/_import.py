@@ -91,7 +91,7 @@ def import_scene(
     pictures = {
         name: mesh.texture.picture
         for name, mesh in zip(textures, chosen.meshes, strict=True)
-        if name is not None and mesh.texture is not None
+        if name is not None and mesh.texture is not None and mesh.texture.picture is not None
     }
     _write(folder, written.name, text, dict(zip(files, near, strict=True)), pictures)
     _say(console, chosen, remarks)
@@ -131,7 +131,7 @@ def _write(
     try:
         (draft / _MESHES).mkdir(parents=True)
         for of, mesh in meshes.items():
-            io.write_ply(draft / of, mesh.vertices, mesh.faces, mesh.normals, mesh.colours, mesh.uv)
+            io.write_ply(draft / of, mesh.vertices, mesh.faces, mesh.normals, mesh.colours, mesh.uv, mesh.alpha)
         for of, picture in pictures.items():
             (draft / of).write_bytes(io.png_of(picture.levels))
         (draft / name).write_text(text, encoding="utf-8")
@@ -162,12 +162,12 @@ def _file_names(chosen: Chosen) -> list[str]:
 
 
 def _texture_names(chosen: Chosen, files: Sequence[str]) -> list[str | None]:
-    """A file for each mesh's texture, named like the first mesh that has it; none for a mesh without one."""
+    """A file for each mesh's picture, named like the first mesh that has it; none for a mesh without one."""
     names: dict[int, str] = {}
-    textures = [mesh.texture for mesh in chosen.meshes]
+    pictures = [None if mesh.texture is None else mesh.texture.picture for mesh in chosen.meshes]
     return [
-        None if texture is None else names.setdefault(id(texture.picture), file.removesuffix(".ply") + ".png")
-        for texture, file in zip(textures, files, strict=True)
+        None if picture is None else names.setdefault(id(picture), file.removesuffix(".ply") + ".png")
+        for picture, file in zip(pictures, files, strict=True)
     ]
 
 
