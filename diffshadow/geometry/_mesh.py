@@ -143,7 +143,8 @@ class Mesh(eqx.Module):
         - `given`: a `trimesh.Trimesh`; a `trimesh.Scene`, whose meshes are merged with the transforms of its graph; or
             an object with `vertices` (v, 3) and triangular `faces` (f, 3). Colours of faces, vertices and materials
             become albedo as they are. A texture of base colour needs texture coordinates (`visual.uv`); its colours
-            are sRGB, and linear here. A glTF material's alpha test is obeyed.
+            are sRGB, and linear here. It repeats and is bilinear, since trimesh keeps no samplers. A glTF material's
+            alpha test is obeyed.
         - `crease_angle`: degrees; edges bent by more are shaded sharp (`crease_normals`). None for the object's own
             `vertex_normals`.
 

@@ -19,6 +19,7 @@ from ._errors import Faults, MeshError, damaged
 from ._gltf_data import Buffers, Form, NoDataError, chunks, item, unread
 from ._gltf_materials import BaseColour, Materials
 from ._gltf_schema import DRACO, INSTANCES, VISIBILITY, Document, Node, Primitive, not_obeyed, parse
+from ._gltf_skins import Skins
 from ._looks import Looks
 from ._polygons import Polygons, repeated, strip_triangles
 from ._text import excerpt
@@ -49,9 +50,11 @@ class Part(NamedTuple):
 
 
 class PlacedNode(NamedTuple):
-    """A node of the scene, its matrix to world space, and whether it and the nodes above it are visible."""
+    """A node of the scene, its number in the file and its matrix to world space, and whether it and the nodes above it
+    are visible."""
 
     node: Node
+    number: int
     to_world: Float[HostArray, "4 4"]
     is_visible: bool
 
@@ -65,14 +68,15 @@ _OTHERS = {
 }
 _LIST, _STRIP, _FAN = 4, 5, 6
 HIDDEN_MESH = "hidden mesh"
-# The attributes of instances.
+_UNREAD_SKIN = "that cannot be read, so that its size and place are those of its vertices and its node"
 # Their matrices take half a gigabyte.
 _MAX_INSTANCES = 1 << 22
+# The attributes of instances.
 _PLACEMENT: Mapping[str, Form] = {"TRANSLATION": "VEC3", "ROTATION": "VEC4", "SCALE": "VEC3"}
 
 
 def read_gltf(data: bytes, folder: Path) -> Polygons:
-    """Reads the triangles of a file's scene, with node transforms and morph weights applied. Skins are not applied.
+    """Reads the triangles of a file's scene, with node transforms, morph weights and skins applied.
 
     **Arguments:**
 
@@ -131,7 +135,7 @@ def _looks(parts: Sequence[Part]) -> Looks | None:
 def parts_of(
     document: Document, buffers: Buffers, left_out: Counter[str], faults: Faults | None = None
 ) -> Iterator[Part]:
-    """The triangles of a file's scene, with node transforms and morph weights applied.
+    """The triangles of a file's scene, with node transforms, morph weights and skins applied.
 
     What is hidden, no triangle, or not supported is added to `left_out`.
 
@@ -144,14 +148,15 @@ def parts_of(
     left_out["animation"] += len(document.animations)
     left_out.update(f"extension {name}" for name in not_obeyed(document))
     materials = Materials(document, buffers, left_out)
-    for node, to_world, is_visible in nodes_of(document):
+    nodes = [*nodes_of(document)]
+    skins = Skins(document, buffers, {each.number: each.to_world for each in nodes})
+    for node, _, to_world, is_visible in nodes:
         if node.mesh is None:
             continue
         if not is_visible:
             left_out[HIDDEN_MESH] += 1
             continue
         mesh = item(document.meshes, node.mesh, "mesh")
-        left_out["skin"] += node.skin is not None
         for primitive in mesh.primitives:
             if primitive.mode in _OTHERS:
                 name, count = _OTHERS[primitive.mode]
@@ -166,6 +171,14 @@ def parts_of(
                     if look.is_cut_out:
                         left_out["primitive that its alpha test cuts out"] += 1
                         continue
+                    try:
+                        posed = None if node.skin is None else skins.posed(node.skin, primitive, *triangles)
+                    except (MeshError, NoDataError):
+                        posed = None
+                        left_out[f"skin of {node.name or mesh.name or 'mesh'} {_UNREAD_SKIN}"] = 1
+                    if posed is not None:
+                        # The node's own place does not count.
+                        triangles, to_world = _Triangles(*posed), np.eye(4)
                     places = to_world @ _instances(node, buffers)
                     yield Part(node, primitive, *repeated(*triangles, places), look.repeated(len(places)))
                 except MeshError as fault:
@@ -204,7 +217,7 @@ def nodes_of(document: Document) -> Iterator[PlacedNode]:
         seen.add(index)
         to_world = parent @ _matrix(node, index)
         is_visible = is_visible and not _is_hidden(node)
-        yield PlacedNode(node, to_world, is_visible)
+        yield PlacedNode(node, index, to_world, is_visible)
         waiting += [(child, to_world, is_visible) for child in reversed(node.children)]
 
 

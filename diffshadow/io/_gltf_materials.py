@@ -10,13 +10,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from pydantic import BaseModel, ValidationError
 
 from .._types import HostArray
 from ..geometry import Sampler, scaled_cutoff
 from ..settings.scene import TexelFilter, Wrap
 from ._errors import MeshError
-from ._gltf_data import Buffers, NoDataError
+from ._gltf_data import Buffers, NoDataError, entry_of
 from ._gltf_schema import (
     TEXTURE_TRANSFORM,
     TEXTURE_WEBP,
@@ -79,7 +78,7 @@ class Materials:
         """The base colour of a primitive with `count` vertices. What cannot be read is left out."""
         colours, alpha = self._colours(primitive, count)
         number = primitive.material
-        material = None if number is None else _entry(Material, self._document.materials, number)
+        material = None if number is None else entry_of(Material, self._document.materials, number)
         if material is None:
             return BaseColour(colours=colours, alpha=alpha)
         look = material.pbr_metallic_roughness
@@ -113,10 +112,10 @@ class Materials:
 
     def _sampler(self, number: int) -> Sampler:
         """How a texture is read; by default where the file's sampler breaks the specification."""
-        texture = _entry(TextureEntry, self._document.textures, number)
+        texture = entry_of(TextureEntry, self._document.textures, number)
         if texture is None or texture.sampler is None:
             return Sampler()
-        entry = _entry(SamplerEntry, self._document.samplers, texture.sampler)
+        entry = entry_of(SamplerEntry, self._document.samplers, texture.sampler)
         if entry is None:
             self._left_out["sampler of a texture that cannot be read"] += 1
             return Sampler()
@@ -125,7 +124,7 @@ class Materials:
     def _coordinates(self, primitive: Primitive, info: TextureInfo, count: int) -> Float[HostArray, "v 2"] | None:
         """Texture coordinates, with (0, 0) at an image's lower left corner instead of its upper left one."""
         stored = info.extensions.get(TEXTURE_TRANSFORM)
-        moved = None if stored is None else _entry(TextureTransform, [stored], 0)
+        moved = None if stored is None else entry_of(TextureTransform, [stored], 0)
         number = info.tex_coord if moved is None or moved.tex_coord is None else moved.tex_coord
         uv = self._values(primitive, f"TEXCOORD_{number}", ("VEC2",), count)
         if uv is None:
@@ -165,22 +164,14 @@ class Materials:
         return self._pictures[number]
 
     def _read(self, number: int) -> Picture:
-        texture = _entry(TextureEntry, self._document.textures, number)
+        texture = entry_of(TextureEntry, self._document.textures, number)
         webp = None if texture is None else texture.extensions.get(TEXTURE_WEBP)
         source = webp.get("source") if isinstance(webp, dict) else None
         if not isinstance(source, int):
             source = None if texture is None else texture.source
-        image = None if source is None else _entry(Image, self._document.images, source)
+        image = None if source is None else entry_of(Image, self._document.images, source)
         if image is None:
             raise MeshError(f"has a texture {number} without an image")
         if image.buffer_view is not None:
             return read_texture(bytes(self._buffers.view(image.buffer_view)), f"image {source}")
         return read_texture(self._buffers.file(image.uri or ""), f"image {source}")
-
-
-def _entry[T: BaseModel](model: type[T], entries: Sequence[Any], number: int) -> T | None:
-    """An entry of the file; none if there is no such entry, or it breaks the specification."""
-    try:
-        return model.model_validate(entries[number]) if 0 <= number < len(entries) else None
-    except ValidationError:
-        return None

@@ -211,6 +211,11 @@ class Node(_Part):
     extras: Any = None
 
 
+class Skin(_Part):
+    inverse_bind_matrices: _Index | None = None
+    joints: list[_Index] = []
+
+
 class Scene(_Part):
     nodes: list[_Index] = []
 
@@ -234,6 +239,7 @@ class Document(_Part):
     samplers: list[Any] = []
     scene: _Index | None = None
     scenes: list[Scene] = []
+    skins: list[Any] = []
     textures: list[Any] = []
 
 

@@ -67,12 +67,9 @@ class GivenTexture(NamedTuple):
 
     def instead_of(self, texture: Texture) -> Texture:
         """A texture of the file with what is given."""
-        wrap, filter = (
-            of_file if given is None else given
-            for given, of_file in zip((self.wrap, self.filter), texture.sampler, strict=True)
-        )
-        cutoff = texture.cutoff if self.cutoff is None else self.cutoff
-        return Texture(texture.picture, cutoff, Sampler.of(wrap, filter))
+        of_file = texture.sampler
+        sampler = Sampler.of(self.wrap or of_file.wrap, self.filter or of_file.filter)
+        return Texture(texture.picture, texture.cutoff if self.cutoff is None else self.cutoff, sampler)
 
 
 class Looks(NamedTuple):

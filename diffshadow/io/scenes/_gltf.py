@@ -118,7 +118,7 @@ def _placed(document: Document, remarks: list[str]) -> tuple[list[SceneCamera], 
     seen: list[SceneCamera] = []
     beside: list[SceneCamera] = []
     lit: list[SceneLight] = []
-    for node, to_world, is_visible in nodes_of(document):
+    for node, _, to_world, is_visible in nodes_of(document):
         hidden = []
         if node.mesh is not None and not is_visible:
             hidden.append(_mesh_name(node, document))
