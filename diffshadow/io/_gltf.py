@@ -67,7 +67,8 @@ _OTHERS = {
     3: ("line", lambda n: max(n - 1, 0)),
 }
 _LIST, _STRIP, _FAN = 4, 5, 6
-HIDDEN_MESH = "hidden mesh"
+HIDDEN_MESH, NO_POSITIONS = "hidden mesh", "primitive without positions"
+CUT_OUT = "primitive that its alpha test cuts out"
 _UNREAD_SKIN = "that cannot be read, so that its size and place are those of its vertices and its node"
 # Their matrices take half a gigabyte.
 _MAX_INSTANCES = 1 << 22
@@ -162,14 +163,14 @@ def parts_of(
                 name, count = _OTHERS[primitive.mode]
                 left_out[name] += count(_count(primitive, buffers))
             elif "POSITION" not in primitive.attributes:
-                left_out["primitive without positions"] += 1
+                left_out[NO_POSITIONS] += 1
             else:
                 weights = mesh.weights if node.weights is None else node.weights
                 try:
                     triangles = _triangles(primitive, weights, buffers)
                     look = materials.base_colour(primitive, len(triangles.vertices))
                     if look.is_cut_out:
-                        left_out["primitive that its alpha test cuts out"] += 1
+                        left_out[CUT_OUT] += 1
                         continue
                     try:
                         posed = None if node.skin is None else skins.posed(node.skin, primitive, *triangles)

@@ -2,6 +2,7 @@
 
 import functools
 import os
+import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -16,7 +17,7 @@ from ._errors import FileError, MeshError, MeshWarning, damaged
 from ._gltf import read_gltf
 from ._gltf_data import files_beside
 from ._looks import GivenTexture, Looks, MeshLooks, Picture, looks_of_triangles, read_texture
-from ._obj import read_obj
+from ._obj import files_beside_obj, read_obj
 from ._off import read_off
 from ._paths import existing_file, on_disk
 from ._ply import read_ply
@@ -27,7 +28,7 @@ from ._trimesh import read_others, suffix_of_others
 # Readers take the file's bytes and its folder.
 _READERS: Mapping[str, Callable[[bytes, Path], Polygons]] = {
     **dict.fromkeys(GLTF_SUFFIXES, read_gltf),
-    ".obj": lambda data, _: read_obj(data),
+    ".obj": read_obj,
     ".off": lambda data, _: read_off(data),
     ".ply": lambda data, _: read_ply(data),
     ".stl": lambda data, _: read_stl(data),
@@ -57,11 +58,12 @@ def load_mesh(
     """Reads a mesh from a file: OBJ, PLY, STL, OFF, GLB, glTF 2.0, or a format that trimesh reads.
 
     The objects of a file are merged into one mesh, with their nodes' transforms applied. Vertices at the same position
-    are welded (files split them at texture seams). Polygons, convex or concave, are cut into triangles. Skins are
-    ignored. Colours of vertices are read from PLY, GLB and glTF, and taken as linear. From the last two, materials are
-    read too: base colours, their textures, and alpha tests. trimesh reads other formats, such as 3MF, COLLADA and zip
-    archives, without colours. It cuts polygons as fans, and some formats need a further package
-    (`pip install 'diffshadow[meshes]'`).
+    are welded (files split them at texture seams). Polygons, convex or concave, are cut into triangles. Skins have the
+    pose of the file's nodes. Colours of vertices are read from PLY, GLB and glTF, and taken as linear. From the last
+    two, materials are read too: base colours, their textures and samplers, and alpha tests. Of the MTL files of an OBJ
+    file, `Kd` (linear), `map_Kd`, `map_d` and `d` are read; a `map_d` cuts out what is below 0.5. trimesh reads other
+    formats, such as 3MF, COLLADA and zip archives, without colours. It cuts polygons as fans, and some formats need a
+    further package (`pip install 'diffshadow[meshes]'`).
 
     **Arguments:**
 
@@ -105,7 +107,7 @@ def load_mesh(
         # NaN and infinite coordinates are checked after reading.
         with np.errstate(all="ignore"):
             if texture is not None and file.suffix.lower() == ".obj":
-                polygons = read_obj(on_disk(file).read_bytes(), with_uv=True)
+                polygons = read_obj(on_disk(file).read_bytes(), file.parent, with_uv=True)
             else:
                 polygons = _reader(file)(on_disk(file).read_bytes(), file.parent)
         _check(polygons)
@@ -188,10 +190,11 @@ def _looks(
 def files_of_mesh(path: str | os.PathLike[str]) -> list[Path]:
     """The absolute paths of a mesh file and of the files beside it that it refers to, as far as there are such."""
     file = Path(os.path.abspath(path))
-    if file.suffix.lower() not in GLTF_SUFFIXES:
+    beside = {**dict.fromkeys(GLTF_SUFFIXES, files_beside), ".obj": files_beside_obj}.get(file.suffix.lower())
+    if beside is None:
         return [file]
     try:
-        return [file, *files_beside(on_disk(file).read_bytes(), file.parent)]
+        return [file, *beside(on_disk(file).read_bytes(), file.parent)]
     except (MeshError, OSError):
         # The reader reports it.
         return [file]
@@ -287,5 +290,6 @@ def _left_out(polygons: Polygons, tiny: int = 0) -> str:
 
 
 def _plural(name: str) -> str:
-    first, of, rest = name.partition(" of ")
-    return f"{first}{'es' if first.endswith('sh') else 's'}{of}{rest}"
+    # Without what follows the noun.
+    first = re.split(" of | that | without ", name)[0]
+    return f"{first}{'es' if first.endswith('sh') else 's'}{name.removeprefix(first)}"

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ValidationError
 
 from ..._types import HostArray
 from .._errors import Faults, damaged
-from .._gltf import HIDDEN_MESH, nodes_of, parts_of
+from .._gltf import CUT_OUT, HIDDEN_MESH, NO_POSITIONS, nodes_of, parts_of
 from .._gltf_data import Buffers, chunks, item
 from .._gltf_materials import BaseColour
 from .._gltf_schema import (
@@ -51,11 +51,12 @@ def read_gltf_scene(data: bytes, folder: Path) -> SceneFile:
     left_out: Counter[str] = Counter()
     faults = Faults()
     materials = _all(Material, document.materials, "materials")
-    meshes = []
+    meshes, empty = [], 0
     for part in parts_of(document, Buffers(document, binary, folder), left_out, faults):
         name = _mesh_name(part.node, document)
         if not len(part.faces):
             remarks.append(f"{name}: it has no triangles; left out")
+            empty += 1
             continue
         number = part.primitive.material
         material = Material() if number is None else item(materials, number, "material")
@@ -68,12 +69,13 @@ def read_gltf_scene(data: bytes, folder: Path) -> SceneFile:
     fault = faults.error()
     if fault is not None and not meshes:
         raise fault
+    lost = sum(left_out[name] for name in (HIDDEN_MESH, NO_POSITIONS, CUT_OUT)) + empty + faults.count
     # Named one by one below.
     del left_out[HIDDEN_MESH]
     remarks += faults.remarks()
     remarks += [f"{count} × {name}: left out" for name, count in left_out.items() if count]
     cameras, lights = _placed(document, remarks)
-    return SceneFile(meshes, cameras, lights, None, list(dict.fromkeys(remarks)))
+    return SceneFile(meshes, cameras, lights, None, list(dict.fromkeys(remarks)), lost)
 
 
 def _mesh_name(node: Node, document: Document) -> str:

@@ -120,6 +120,7 @@ class SceneFile(NamedTuple):
     - `meshes`, `cameras`, `lights`: in the order of the file.
     - `engine`: the engine that the settings are of.
     - `remarks`: what was left out or taken otherwise than it is, each a sentence without a full stop.
+    - `left_out`: how many meshes, or parts of meshes, were left out; `remarks` say why.
     """
 
     meshes: list[SceneMesh]
@@ -127,3 +128,4 @@ class SceneFile(NamedTuple):
     lights: list[SceneLight]
     engine: Literal["three.js"] | None
     remarks: list[str]
+    left_out: int = 0

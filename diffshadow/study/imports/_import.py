@@ -68,6 +68,28 @@ def import_scene(
     remarks = list(scene.remarks)
     if camera is not None and Path(camera).is_file():
         scene, camera = scene._replace(cameras=io.read_scene(camera).cameras), None
+    try:
+        chosen = _converted(scene, file, written, camera, light, technique, shadow_type, remarks)
+    except ValueError:
+        # What was left out may be why.
+        table.print_lines(console, [f"note: {line}" for line in remarks])
+        raise
+    _say(console, chosen, remarks)
+    return written
+
+
+def _converted(
+    scene: io.SceneFile,
+    file: Path,
+    written: Path,
+    camera: str | None,
+    light: str | None,
+    technique: ImportedTechnique,
+    shadow_type: ShadowType,
+    remarks: list[str],
+) -> Chosen:
+    """Writes what `import_scene` writes. **Returns** the parts that it is made of. Adds to `remarks`."""
+    folder = written.parent
     scene = completed(scene, camera, light, remarks)
     chosen = choose(scene, camera, light, remarks)
     if scene.engine is None:
@@ -82,7 +104,7 @@ def import_scene(
         remarks.append("the file has no settings of shadows: bias, radius, map size and sides are three.js' defaults")
     if technique == "three.js":
         remarks.append(f"renderer.shadowMap.type is not in the file; {shadow_type} is taken (--shadow-type)")
-    text = _text({"name": name, **settings}, file.name)
+    text = _text({"name": written.stem, **settings}, file.name)
     _check(text, file, folder)
     near = [
         mesh._replace(vertices=mesh.vertices - np.asarray(origin))
@@ -94,8 +116,7 @@ def import_scene(
         if name is not None and mesh.texture is not None and mesh.texture.picture is not None
     }
     _write(folder, written.name, text, dict(zip(files, near, strict=True)), pictures)
-    _say(console, chosen, remarks)
-    return written
+    return chosen
 
 
 def _with_lamp(chosen: Chosen, remarks: list[str]) -> Chosen:

@@ -73,7 +73,11 @@ def check_casters(scene: io.SceneFile, meshes: Sequence[io.SceneMesh]) -> None:
     if not any(mesh.casts for mesh in meshes):
         remedies = _GLTF if scene.engine is None else _THREE_JS
         found = f"{len(meshes)} without castShadow" if meshes else "no triangles that its camera sees"
-        raise ValueError(f"the scene has no mesh that casts shadows ({found}); expected one: {remedies.mesh}")
+        mend = remedies.mesh
+        if scene.left_out:
+            found += f", and {scene.left_out} left out"
+            mend = f"mend what the notes say of what is left out, or {mend}"
+        raise ValueError(f"the scene has no mesh that casts shadows ({found}); expected one: {mend}")
 
 
 def _named[T: (io.SceneCamera, io.SceneLight)](
