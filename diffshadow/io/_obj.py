@@ -97,7 +97,7 @@ def _materials(
     library = Materials(_rests(lines, at["mtllib"]), folder, left_out)
     names = _rests(lines, at["usemtl"])
     last = np.searchsorted(at["usemtl"], at["f"]) - 1
-    found = {names[i]: library.of(names[i]) for i in np.unique(last[last >= 0]).tolist()}
+    found = {name: library.of(name) for name in dict.fromkeys(names[i] for i in np.unique(last[last >= 0]))}
     numbers = {name: i for i, name in enumerate(name for name, each in found.items() if each is not None)}
     # The last one is for faces above the first line usemtl.
     of_line = np.array([*(numbers.get(name, -1) for name in names), -1])

@@ -568,6 +568,16 @@ SCENES = {
         "2: scene.meshes.0.alpha_cutoff: is given with a builtin mesh; expected a mesh file, which may have UV; remove "
         "alpha_cutoff",
     ),
+    "a texture's wrap": (
+        "  meshes: [{path: tree.obj, texture_wrap: [mirror, mirrored]}]\n",
+        "2: scene.meshes.0.texture_wrap: is ['mirror', 'mirrored']; expected repeat, clamp or mirror, or a list of two "
+        "of them, along u and along v; give such a value",
+    ),
+    "a sampler of a builtin": (
+        "  meshes: [{path: 'builtin:box', texture_filter: nearest}]\n",
+        "2: scene.meshes.0.texture_filter: is given with a builtin mesh; expected a mesh file, which may have UV; "
+        "remove texture_filter",
+    ),
     "orbit and eye": (
         "  meshes: [path: 'builtin:box']\n  camera:\n    orbit: {azimuth: 3}\n    eye: [1, 2, 3]\n",
         "5: scene.camera.eye: is given together with orbit; expected one or the other; "
