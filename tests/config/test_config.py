@@ -568,10 +568,10 @@ SCENES = {
         "2: scene.meshes.0.alpha_cutoff: is given with a builtin mesh; expected a mesh file, which may have UV; remove "
         "alpha_cutoff",
     ),
-    "a texture's wrap": (
-        "  meshes: [{path: tree.obj, texture_wrap: [mirror, mirrored]}]\n",
-        "2: scene.meshes.0.texture_wrap: is ['mirror', 'mirrored']; expected repeat, clamp or mirror, or a list of two "
-        "of them, along u and along v; give such a value",
+    "a word or a list of words": (
+        "  meshes: [path: 'builtin:box']\ntechnique: {type: three.js, side: [front, bak]}\n",
+        "3: technique.side: is ['front', 'bak']; expected front, back or double, or a list with one of them for each "
+        "mesh; give such a value",
     ),
     "a sampler of a builtin": (
         "  meshes: [{path: 'builtin:box', texture_filter: nearest}]\n",
