@@ -37,8 +37,10 @@ from ._scene import Scene
 from ._smoothing import Smoothing as Smoothing
 from ._subdivide import split_in_four
 from ._textures import NO_TEXTURE, Textures
-from ._textures import bilinear as bilinear
+from ._textures import Sampler as Sampler
 from ._textures import linear_colours as linear_colours
+from ._textures import read_texels as read_texels
+from ._textures import sampler_codes as sampler_codes
 from ._textures import scaled_cutoff as scaled_cutoff
 from ._transforms import (
     frame,

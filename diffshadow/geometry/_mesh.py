@@ -142,7 +142,8 @@ class Mesh(eqx.Module):
         - `given`: a `trimesh.Trimesh`; a `trimesh.Scene`, whose meshes are merged with the transforms of its graph; or
             an object with `vertices` (v, 3) and triangular `faces` (f, 3). Colours of faces, vertices and materials
             become albedo as they are. A texture of base colour needs texture coordinates (`visual.uv`); its colours
-            are sRGB, and linear here. A glTF material's alpha test is obeyed.
+            are sRGB, and linear here. It repeats and is bilinear, since trimesh keeps no samplers. A glTF material's
+            alpha test is obeyed.
         - `crease_angle`: degrees; edges bent by more are shaded sharp (`crease_normals`). None for the object's own
             `vertex_normals`.
 
@@ -171,9 +172,8 @@ class Mesh(eqx.Module):
         colours, textures = self.corner_colours, self.textures
         if colours is not None or textures is not None:
             mirrored = jnp.linalg.det(matrix[:3, :3]) < 0
-            turned = lambda corners: jnp.where(mirrored, corners[:, ::-1], corners)
-            colours = None if colours is None else turned(colours)
-            textures = None if textures is None else eqx.tree_at(lambda one: one.uv, textures, turned(textures.uv))
+            colours = None if colours is None else jnp.where(mirrored, colours[:, ::-1], colours)
+            textures = None if textures is None else textures.turned(mirrored)
         return Mesh(vertices, faces, normals, self.albedo, colours, textures)
 
     def _repr_html_(self) -> str | None:

@@ -4,6 +4,7 @@ Objects are known by their attributes, so that nothing here loads trimesh: whoev
 """
 
 import warnings
+from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -104,14 +105,14 @@ def _part(given: Triangles, to_world: Float[HostArray, "4 4"], crease_angle: flo
         normals = _own_normals(given, to_world, name)[faces[kept]]
     else:
         normals = crease_normals(points, welded, crease_angle)
-    albedo, colours = _albedo(given, len(faces)), _vertex_colours(given, len(vertices))
+    albedo, colours = _albedo(given, len(faces)), _vertex_colours(given)
     return Part(
         points,
         welded,
         normals,
         None if albedo is None else albedo[kept],
-        None if colours is None else colours[faces[kept]],
-        _textures(given, faces[kept]),
+        None if colours is None else colours[faces[kept], :3],
+        _textures(given, faces[kept], colours),
     )
 
 
@@ -165,13 +166,20 @@ def _albedo(given: Triangles, count: int) -> Float[HostArray, "f 3"] | None:
     return np.broadcast_to(np.asarray(colours, np.float64)[..., :3] / 255, (count, 3))
 
 
-def _vertex_colours(given: Triangles, count: int) -> Float[HostArray, "v 3"] | None:
-    """The colour of each of `count` vertices; none if they have no colours of their own."""
+def _vertex_colours(given: Triangles) -> Float[HostArray, "v c"] | None:
+    """The colours of vertices, perhaps with alpha, in [0, 1]; none if they have no colours of their own."""
     visual = getattr(given, "visual", None)
-    if getattr(visual, "kind", None) != "vertex":
+    if getattr(visual, "kind", None) == "vertex":
+        stored = getattr(visual, "vertex_colors", ())
+    else:
+        # Beside a texture.
+        attributes = getattr(visual, "vertex_attributes", None)
+        stored = attributes.get("color", ()) if isinstance(attributes, Mapping) else ()
+    colours = np.asarray(stored)
+    if colours.shape not in [(len(given.vertices), width) for width in (3, 4)]:
         return None
-    colours = np.asarray(getattr(visual, "vertex_colors", ()), np.float64)
-    return colours[:, :3] / 255 if colours.shape[:1] == (count,) and colours.ndim == 2 else None
+    greatest = float(np.iinfo(colours.dtype.str).max) if colours.dtype.kind in "iu" else 1.0
+    return np.clip(colours / greatest, 0, 1)
 
 
 def _image(material: Any) -> Any:
@@ -180,8 +188,11 @@ def _image(material: Any) -> Any:
     return getattr(material, "image", None) if image is None else image
 
 
-def _textures(given: Triangles, faces: Int[HostArray, "f 3"]) -> Textures | None:
-    """The texture of base colour, and its alpha test; none without an image or texture coordinates."""
+def _textures(
+    given: Triangles, faces: Int[HostArray, "f 3"], colours: Float[HostArray, "v c"] | None
+) -> Textures | None:
+    """The texture of base colour, and its alpha test; none without an image or texture coordinates. The objects hold no
+    samplers."""
     visual = getattr(given, "visual", None)
     material, uv = getattr(visual, "material", None), getattr(visual, "uv", None)
     image = None if material is None else _image(material)
@@ -194,7 +205,9 @@ def _textures(given: Triangles, faces: Int[HostArray, "f 3"]) -> Textures | None
         cutoff = scaled_cutoff(Cutout.alpha_cutoff if given_cutoff is None else float(given_cutoff), _alpha(factor))
     # The image's first row is its top row.
     levels = np.asarray(image.convert("RGBA"), np.float64)[::-1] / 255
-    return Textures.of(linear_colours(levels), np.asarray(uv, np.float64)[faces, :2], cutoff)
+    has_alpha = cutoff is not None and colours is not None and colours.shape[1] == 4
+    alpha = colours[faces, 3] if has_alpha and colours is not None else None
+    return Textures.of(linear_colours(levels), np.asarray(uv, np.float64)[faces, :2], cutoff, corner_alpha=alpha)
 
 
 def _alpha(factor: Any) -> float:

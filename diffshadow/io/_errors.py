@@ -39,6 +39,11 @@ class Faults:
         """Adds the part of this name."""
         self._names.setdefault(str(fault), []).append(name)
 
+    @property
+    def count(self) -> int:
+        """How many parts are left out."""
+        return sum(map(len, self._names.values()))
+
     def remarks(self) -> list[str]:
         """A sentence for each fault, with the names of the parts that have it."""
         return [f"{some_of(names)}: left out, since the file {fault}" for fault, names in self._names.items()]

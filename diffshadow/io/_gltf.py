@@ -19,7 +19,8 @@ from ._errors import Faults, MeshError, damaged
 from ._gltf_data import Buffers, Form, NoDataError, chunks, item, unread
 from ._gltf_materials import BaseColour, Materials
 from ._gltf_schema import DRACO, INSTANCES, VISIBILITY, Document, Node, Primitive, not_obeyed, parse
-from ._looks import Looks, Texture
+from ._gltf_skins import Skins
+from ._looks import Looks
 from ._polygons import Polygons, repeated, strip_triangles
 from ._text import excerpt
 
@@ -49,9 +50,11 @@ class Part(NamedTuple):
 
 
 class PlacedNode(NamedTuple):
-    """A node of the scene, its matrix to world space, and whether it and the nodes above it are visible."""
+    """A node of the scene, its number in the file and its matrix to world space, and whether it and the nodes above it
+    are visible."""
 
     node: Node
+    number: int
     to_world: Float[HostArray, "4 4"]
     is_visible: bool
 
@@ -64,15 +67,17 @@ _OTHERS = {
     3: ("line", lambda n: max(n - 1, 0)),
 }
 _LIST, _STRIP, _FAN = 4, 5, 6
-HIDDEN_MESH = "hidden mesh"
-# The attributes of instances.
+HIDDEN_MESH, NO_POSITIONS = "hidden mesh", "primitive without positions"
+CUT_OUT = "primitive that its alpha test cuts out"
+_UNREAD_SKIN = "that cannot be read, so that its size and place are those of its vertices and its node"
 # Their matrices take half a gigabyte.
 _MAX_INSTANCES = 1 << 22
+# The attributes of instances.
 _PLACEMENT: Mapping[str, Form] = {"TRANSLATION": "VEC3", "ROTATION": "VEC4", "SCALE": "VEC3"}
 
 
 def read_gltf(data: bytes, folder: Path) -> Polygons:
-    """Reads the triangles of a file's scene, with node transforms and morph weights applied. Skins are not applied.
+    """Reads the triangles of a file's scene, with node transforms, morph weights and skins applied.
 
     **Arguments:**
 
@@ -107,28 +112,31 @@ def _looks(parts: Sequence[Part]) -> Looks | None:
     if all(look.factor is None and look.colours is None for look in looks):
         return None
     vertices, faces = [len(part.vertices) for part in parts], [len(part.faces) for part in parts]
-    coloured, mapped = (any(getattr(look, name) is not None for look in looks) for name in ("colours", "uv"))
-    rows = lambda values, count, fill, width: np.full((count, width), fill, float) if values is None else values
-    each = zip(looks, vertices, strict=True)
-    by_vertex = [(rows(look.colours, count, 1, 3), rows(look.uv, count, 0, 2)) for look, count in each]
-    # By picture and cutoff.
-    textures = {(id(look.picture), look.cutoff): look for look in looks if look.picture is not None}
-    numbers = {key: number for number, key in enumerate(textures)}
-    index = [numbers.get((id(look.picture), look.cutoff), NO_TEXTURE) for look in looks]
+
+    def by_vertex(name: str, missing: Sequence[float] | float) -> HostArray | None:
+        given = [getattr(look, name) for look in looks]
+        if all(values is None for values in given):
+            return None
+        rows = lambda count: np.tile(np.asarray(missing, float), (count, *[1] * np.ndim(missing)))
+        return np.concatenate([rows(count) if of is None else of for of, count in zip(given, vertices, strict=True)])
+
+    textures = list(dict.fromkeys(look.texture for look in looks if look.texture is not None))
+    index = [NO_TEXTURE if look.texture is None else textures.index(look.texture) for look in looks]
     factors = [np.ones(3) if look.factor is None else look.factor for look in looks]
     return Looks(
-        np.concatenate([colours for colours, _ in by_vertex]) if coloured else None,
-        np.concatenate([uv for _, uv in by_vertex]) if mapped else None,
+        by_vertex("colours", (1, 1, 1)),
+        by_vertex("uv", (0, 0)),
         np.repeat(factors, faces, axis=0),
         np.repeat(index, faces),
-        [Texture(look.picture, look.cutoff) for look in textures.values() if look.picture is not None],
+        textures,
+        by_vertex("alpha", 1),
     )
 
 
 def parts_of(
     document: Document, buffers: Buffers, left_out: Counter[str], faults: Faults | None = None
 ) -> Iterator[Part]:
-    """The triangles of a file's scene, with node transforms and morph weights applied.
+    """The triangles of a file's scene, with node transforms, morph weights and skins applied.
 
     What is hidden, no triangle, or not supported is added to `left_out`.
 
@@ -141,28 +149,37 @@ def parts_of(
     left_out["animation"] += len(document.animations)
     left_out.update(f"extension {name}" for name in not_obeyed(document))
     materials = Materials(document, buffers, left_out)
-    for node, to_world, is_visible in nodes_of(document):
+    nodes = [*nodes_of(document)]
+    skins = Skins(document, buffers, {each.number: each.to_world for each in nodes})
+    for node, _, to_world, is_visible in nodes:
         if node.mesh is None:
             continue
         if not is_visible:
             left_out[HIDDEN_MESH] += 1
             continue
         mesh = item(document.meshes, node.mesh, "mesh")
-        left_out["skin"] += node.skin is not None
         for primitive in mesh.primitives:
             if primitive.mode in _OTHERS:
                 name, count = _OTHERS[primitive.mode]
                 left_out[name] += count(_count(primitive, buffers))
             elif "POSITION" not in primitive.attributes:
-                left_out["primitive without positions"] += 1
+                left_out[NO_POSITIONS] += 1
             else:
                 weights = mesh.weights if node.weights is None else node.weights
                 try:
                     triangles = _triangles(primitive, weights, buffers)
                     look = materials.base_colour(primitive, len(triangles.vertices))
                     if look.is_cut_out:
-                        left_out["primitive that its alpha test cuts out"] += 1
+                        left_out[CUT_OUT] += 1
                         continue
+                    try:
+                        posed = None if node.skin is None else skins.posed(node.skin, primitive, *triangles)
+                    except (MeshError, NoDataError):
+                        posed = None
+                        left_out[f"skin of {node.name or mesh.name or 'mesh'} {_UNREAD_SKIN}"] = 1
+                    if posed is not None:
+                        # The node's own place does not count.
+                        triangles, to_world = _Triangles(*posed), np.eye(4)
                     places = to_world @ _instances(node, buffers)
                     yield Part(node, primitive, *repeated(*triangles, places), look.repeated(len(places)))
                 except MeshError as fault:
@@ -201,7 +218,7 @@ def nodes_of(document: Document) -> Iterator[PlacedNode]:
         seen.add(index)
         to_world = parent @ _matrix(node, index)
         is_visible = is_visible and not _is_hidden(node)
-        yield PlacedNode(node, to_world, is_visible)
+        yield PlacedNode(node, index, to_world, is_visible)
         waiting += [(child, to_world, is_visible) for child in reversed(node.children)]
 
 

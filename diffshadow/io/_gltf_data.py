@@ -8,11 +8,12 @@ import os
 import struct
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 from urllib.parse import unquote, unquote_to_bytes
 
 import numpy as np
 from jaxtyping import Shaped
+from pydantic import BaseModel, ValidationError
 
 from .._types import HostArray
 from ._errors import MeshError, damaged
@@ -23,8 +24,8 @@ from ._text import excerpt, listed
 _MAGIC = b"glTF"
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-Form = Literal["SCALAR", "VEC2", "VEC3", "VEC4"]
-_WIDTHS: Mapping[Form, int] = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+Form = Literal["SCALAR", "VEC2", "VEC3", "VEC4", "MAT4"]
+_WIDTHS: Mapping[Form, int] = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 # A sparse accessor can declare any number of zeros without storing them. No real file declares this many.
 _MAX_ZEROS = 2**24
 
@@ -63,6 +64,14 @@ def item[T](items: Sequence[T], index: int, what: str) -> T:
     if index >= len(items):
         raise damaged(f"it refers to {what} {index}, but has {len(items)}")
     return items[index]
+
+
+def entry_of[T: BaseModel](model: type[T], entries: Sequence[Any], number: int) -> T | None:
+    """An entry of the file; none if there is no such entry, or it breaks the specification."""
+    try:
+        return model.model_validate(entries[number]) if 0 <= number < len(entries) else None
+    except ValidationError:
+        return None
 
 
 class NoDataError(Exception):

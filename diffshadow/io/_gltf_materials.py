@@ -10,12 +10,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from pydantic import BaseModel, ValidationError
 
 from .._types import HostArray
-from ..geometry import scaled_cutoff
+from ..geometry import Sampler, scaled_cutoff
+from ..settings.scene import TexelFilter, Wrap
 from ._errors import MeshError
-from ._gltf_data import Buffers, NoDataError
+from ._gltf_data import Buffers, NoDataError, entry_of
 from ._gltf_schema import (
     TEXTURE_TRANSFORM,
     TEXTURE_WEBP,
@@ -23,42 +23,48 @@ from ._gltf_schema import (
     Image,
     Material,
     Primitive,
-    Texture,
     TextureInfo,
     TextureTransform,
 )
-from ._looks import Picture, read_texture
+from ._gltf_schema import Sampler as SamplerEntry
+from ._gltf_schema import Texture as TextureEntry
+from ._looks import Picture, Texture, read_texture
 
 # Of a texture that is left out.
 _UNREAD = "texture that cannot be read"
+WRAPS: dict[int, Wrap] = {10497: "repeat", 33071: "clamp", 33648: "mirror"}
+FILTERS: dict[int, TexelFilter] = {9728: "nearest", 9729: "linear"}
+"""The numbers of OpenGL that samplers of glTF have."""
+# The greatest of each type of integers that colours may have.
+_GREATEST = {5121: 255, 5123: 65535}
 
 
 class BaseColour(NamedTuple):
     """What a primitive looks like.
 
     - `factor`: (3,), linear; none without a material.
-    - `picture`: of its texture, or none; `uv`: (v, 2), texture coordinates of its vertices.
-    - `colours`: (v, 3), linear colours of its vertices, or none.
-    - `cutoff`: of its alpha test, or none.
+    - `texture`: with its alpha test, or none; `uv`: (v, 2), texture coordinates of its vertices, or none.
+    - `colours`: (v, 3), linear colours of its vertices, and `alpha`: (v,), of these; or none.
     - `is_cut_out`: whether the alpha test leaves nothing of it.
     """
 
-    factor: Float[HostArray, "3"] | None
-    picture: Picture | None
-    uv: Float[HostArray, "v 2"] | None
-    colours: Float[HostArray, "v 3"] | None
-    cutoff: float | None
-    is_cut_out: bool
+    factor: Float[HostArray, "3"] | None = None
+    texture: Texture | None = None
+    uv: Float[HostArray, "v 2"] | None = None
+    colours: Float[HostArray, "v 3"] | None = None
+    alpha: Float[HostArray, " v"] | None = None
+    is_cut_out: bool = False
 
     def of_vertices(self, index: Int[HostArray, " n"]) -> "BaseColour":
         """For vertices that are these of the primitive's, (n,)."""
         rows = lambda values: None if values is None else values[index]
-        return self._replace(uv=rows(self.uv), colours=rows(self.colours))
+        return self._replace(uv=rows(self.uv), colours=rows(self.colours), alpha=rows(self.alpha))
 
     def repeated(self, count: int) -> "BaseColour":
         """For the vertices of so many instances."""
-        rows = lambda values: None if values is None else np.tile(values, (count, 1))
-        return self._replace(uv=rows(self.uv), colours=rows(self.colours))
+        some = (values for values in (self.uv, self.colours, self.alpha) if values is not None)
+        index = np.tile(np.arange(len(next(some, ()))), count)
+        return self.of_vertices(index)
 
 
 class Materials:
@@ -70,27 +76,55 @@ class Materials:
 
     def base_colour(self, primitive: Primitive, count: int) -> BaseColour:
         """The base colour of a primitive with `count` vertices. What cannot be read is left out."""
-        colours = self._values(primitive, "COLOR_0", ("VEC3", "VEC4"), count)
-        colours = None if colours is None else np.clip(colours[:, :3], 0, 1)
+        colours, alpha = self._colours(primitive, count)
         number = primitive.material
-        material = None if number is None else _entry(Material, self._document.materials, number)
+        material = None if number is None else entry_of(Material, self._document.materials, number)
         if material is None:
-            return BaseColour(None, None, None, colours, None, False)
+            return BaseColour(colours=colours, alpha=alpha)
         look = material.pbr_metallic_roughness
-        *factor, alpha = np.clip(look.base_color_factor, 0, 1).tolist()
+        *factor, opacity = np.clip(look.base_color_factor, 0, 1).tolist()
         is_tested = material.alpha_mode == "MASK"
+        cutoff = scaled_cutoff(material.alpha_cutoff, opacity) if is_tested else None
         info, picture, uv = look.base_color_texture, None, None
         if info is not None:
             picture, uv = self._picture(info.index), self._coordinates(primitive, info, count)
-        if picture is None or uv is None:
-            return BaseColour(np.array(factor), None, uv, colours, None, is_tested and alpha < material.alpha_cutoff)
-        cutoff = scaled_cutoff(material.alpha_cutoff, alpha) if is_tested else None
-        return BaseColour(np.array(factor), picture, uv, colours, cutoff, False)
+        texture = None
+        if info is not None and picture is not None and uv is not None:
+            texture = Texture(picture, cutoff, self._sampler(info.index))
+        elif is_tested and alpha is not None:
+            texture = Texture(None, cutoff)
+        is_cut_out = is_tested and opacity < material.alpha_cutoff
+        return BaseColour(np.array(factor), texture, uv, colours, alpha, is_cut_out)
+
+    def _colours(
+        self, primitive: Primitive, count: int
+    ) -> tuple[Float[HostArray, "v 3"] | None, Float[HostArray, " v"] | None]:
+        """The colours of the vertices, and their alpha; each none if the primitive has none."""
+        values = self._values(primitive, "COLOR_0", ("VEC3", "VEC4"), count)
+        if values is None:
+            return None, None
+        accessor = self._document.accessors[primitive.attributes["COLOR_0"]]
+        # Integers are parts of the greatest one, whether the file says so or not.
+        if not accessor.normalized:
+            values = values / _GREATEST.get(accessor.component_type, 1)
+        values = np.clip(values, 0, 1)
+        return values[:, :3], values[:, 3] if values.shape[1] == 4 else None
+
+    def _sampler(self, number: int) -> Sampler:
+        """How a texture is read; by default where the file's sampler breaks the specification."""
+        texture = entry_of(TextureEntry, self._document.textures, number)
+        if texture is None or texture.sampler is None:
+            return Sampler()
+        entry = entry_of(SamplerEntry, self._document.samplers, texture.sampler)
+        if entry is None:
+            self._left_out["sampler of a texture that cannot be read"] += 1
+            return Sampler()
+        return Sampler((WRAPS[entry.wrap_s], WRAPS[entry.wrap_t]), FILTERS[entry.mag_filter])
 
     def _coordinates(self, primitive: Primitive, info: TextureInfo, count: int) -> Float[HostArray, "v 2"] | None:
         """Texture coordinates, with (0, 0) at an image's lower left corner instead of its upper left one."""
         stored = info.extensions.get(TEXTURE_TRANSFORM)
-        moved = None if stored is None else _entry(TextureTransform, [stored], 0)
+        moved = None if stored is None else entry_of(TextureTransform, [stored], 0)
         number = info.tex_coord if moved is None or moved.tex_coord is None else moved.tex_coord
         uv = self._values(primitive, f"TEXCOORD_{number}", ("VEC2",), count)
         if uv is None:
@@ -130,22 +164,14 @@ class Materials:
         return self._pictures[number]
 
     def _read(self, number: int) -> Picture:
-        texture = _entry(Texture, self._document.textures, number)
+        texture = entry_of(TextureEntry, self._document.textures, number)
         webp = None if texture is None else texture.extensions.get(TEXTURE_WEBP)
         source = webp.get("source") if isinstance(webp, dict) else None
         if not isinstance(source, int):
             source = None if texture is None else texture.source
-        image = None if source is None else _entry(Image, self._document.images, source)
+        image = None if source is None else entry_of(Image, self._document.images, source)
         if image is None:
             raise MeshError(f"has a texture {number} without an image")
         if image.buffer_view is not None:
             return read_texture(bytes(self._buffers.view(image.buffer_view)), f"image {source}")
         return read_texture(self._buffers.file(image.uri or ""), f"image {source}")
-
-
-def _entry[T: BaseModel](model: type[T], entries: Sequence[Any], number: int) -> T | None:
-    """An entry of the file; none if there is no such entry, or it breaks the specification."""
-    try:
-        return model.model_validate(entries[number]) if 0 <= number < len(entries) else None
-    except ValidationError:
-        return None

@@ -133,7 +133,16 @@ class TextureTransform(_Part):
     tex_coord: _Index | None = None
 
 
+class Sampler(_Part):
+    """Numbers of OpenGL: how a texture is read between texels and beyond its image."""
+
+    mag_filter: Literal[9728, 9729] = 9729
+    wrap_s: Literal[10497, 33071, 33648] = 10497
+    wrap_t: Literal[10497, 33071, 33648] = 10497
+
+
 class Texture(_Part):
+    sampler: _Index | None = None
     source: _Index | None = None
     extensions: _Extensions = {}
 
@@ -202,6 +211,11 @@ class Node(_Part):
     extras: Any = None
 
 
+class Skin(_Part):
+    inverse_bind_matrices: _Index | None = None
+    joints: list[_Index] = []
+
+
 class Scene(_Part):
     nodes: list[_Index] = []
 
@@ -222,8 +236,10 @@ class Document(_Part):
     materials: list[Any] = []
     meshes: list[Mesh] = []
     nodes: list[Node] = []
+    samplers: list[Any] = []
     scene: _Index | None = None
     scenes: list[Scene] = []
+    skins: list[Any] = []
     textures: list[Any] = []
 
 

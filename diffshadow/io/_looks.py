@@ -14,8 +14,8 @@ from PIL import Image
 from .._arithmetic import as_float
 from .._srgb import to_srgb
 from .._types import HostArray
-from ..geometry import NO_TEXTURE, Textures, linear_colours
-from ..settings.scene import MAX_TEXTURE
+from ..geometry import NO_TEXTURE, Sampler, Textures, linear_colours, sampler_codes
+from ..settings.scene import MAX_TEXTURE, TexelFilter, Wraps
 from ._errors import MeshError
 
 # Formats of textures: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html, section 3.8, and common others.
@@ -35,20 +35,48 @@ class Picture:
             return as_float(linear_colours(self.levels.reshape(-1, 4) / np.float32(255)))
 
 
+# What a material without a picture has, if the alpha of vertices cuts it out.
+_PLAIN = Picture(np.full((1, 1, 4), 255, np.uint8))
+
+
 class Texture(NamedTuple):
     """The texture of base colour of a material.
 
+    - `picture`: none of a material that the alpha of vertices alone cuts out.
     - `cutoff`: alpha below which it cuts out faces; none without an alpha test.
+    - `sampler`: how the picture is read.
     """
 
-    picture: Picture
+    picture: Picture | None
     cutoff: float | None = None
+    sampler: Sampler = Sampler()
+
+    @property
+    def whole(self) -> Picture:
+        """The picture, or a white and opaque one."""
+        return self.picture or _PLAIN
+
+
+class GivenTexture(NamedTuple):
+    """What a user gives in place of the textures of a file; none of what is as the file says."""
+
+    picture: Picture | None = None
+    cutoff: float | None = None
+    wrap: Wraps | None = None
+    filter: TexelFilter | None = None
+
+    def instead_of(self, texture: Texture) -> Texture:
+        """A texture of the file with what is given."""
+        of_file = texture.sampler
+        sampler = Sampler.of(self.wrap or of_file.wrap, self.filter or of_file.filter)
+        return Texture(texture.picture, texture.cutoff if self.cutoff is None else self.cutoff, sampler)
 
 
 class Looks(NamedTuple):
     """How the polygons of a file look.
 
     - `colours`: (v, 3), linear colours of the vertices; none if the file has none.
+    - `alpha`: (v,), of the vertices, which an alpha test multiplies by the textures'; none likewise.
     - `uv`: (v, 2), texture coordinates of the vertices, (0, 0) at an image's lower left corner; none likewise.
     - `factor`: (f, 3), the diffuse colour of each polygon.
     - `texture`: (f,), the number of each polygon's texture in `textures`, -1 for none.
@@ -59,6 +87,7 @@ class Looks(NamedTuple):
     factor: Float[HostArray, "f 3"] | None = None
     texture: Int[HostArray, " f"] | None = None
     textures: Sequence[Texture] = ()
+    alpha: Float[HostArray, " v"] | None = None
 
 
 class MeshLooks(NamedTuple):
@@ -70,51 +99,61 @@ class MeshLooks(NamedTuple):
 
 
 def looks_of_triangles(
-    looks: Looks,
-    triangles: Int[HostArray, "t 3"],
-    polygon: Int[HostArray, " t"],
-    texture: Texture | None,
-    cutoff: float | None,
+    looks: Looks, triangles: Int[HostArray, "t 3"], polygon: Int[HostArray, " t"], given: GivenTexture
 ) -> MeshLooks:
-    """How triangles of a file's vertices look, each a part of a `polygon`; `texture` and `cutoff`, if given, take the
-    place of the file's own.
+    """How triangles of a file's vertices look, each a part of a `polygon`.
 
-    **Raises** `MeshError` if a texture is given and there are no texture coordinates.
+    **Raises** `MeshError` if a picture is given and there are no texture coordinates.
     """
     factor = None if looks.factor is None else looks.factor[polygon]
     colours = None if looks.colours is None else np.clip(looks.colours, 0, 1)[triangles]
-    if texture is not None:
+    if given.picture is not None:
         if looks.uv is None:
             raise MeshError("has no texture coordinates, and a texture was given; expected some: export it with its UV")
-        textures: Sequence[Texture] = (texture,)
+        textures = [Texture(given.picture)]
         index = np.zeros(len(triangles), np.int32)
     else:
-        textures = looks.textures
+        textures = [*looks.textures]
         index = np.full(len(triangles), NO_TEXTURE) if looks.texture is None else looks.texture[polygon]
-    if looks.uv is None or not len(textures) or not (index >= 0).any():
+        if given.cutoff and looks.alpha is not None:
+            # The alpha of vertices alone cuts out what has no texture.
+            index = np.where(index < 0, len(textures), index)
+            textures.append(Texture(None))
+    if not (index >= 0).any():
         return MeshLooks(factor, colours, None)
-    uv = looks.uv[triangles]
+    uv = np.zeros((*triangles.shape, 2)) if looks.uv is None else looks.uv[triangles]
     if not np.isfinite(uv).all():
         raise MeshError("has texture coordinates that are NaN or infinite; export it again")
-    if cutoff is not None:
-        textures = [one._replace(cutoff=cutoff) for one in textures]
-    return MeshLooks(factor, colours, _flattened(textures, uv, index))
+    textures = [given.instead_of(one) for one in textures]
+    alpha = None if looks.alpha is None else np.clip(looks.alpha, 0, 1)[triangles]
+    return MeshLooks(factor, colours, _flattened(textures, uv, index, alpha))
 
 
-def _flattened(textures: Sequence[Texture], uv: Float[HostArray, "t 3 2"], index: Int[HostArray, " t"]) -> Textures:
+def _flattened(
+    textures: Sequence[Texture],
+    uv: Float[HostArray, "t 3 2"],
+    index: Int[HostArray, " t"],
+    alpha: Float[HostArray, "t 3"] | None,
+) -> Textures:
     used, index = np.unique(index, return_inverse=True)
-    some = used[used >= 0]
+    some = [textures[number] for number in used[used >= 0]]
     index = index - (len(used) - len(some))
-    sizes = np.array([textures[number].picture.levels.shape[:2] for number in some])
+    sizes = np.array([one.whole.levels.shape[:2] for one in some])
     first = np.cumsum([0, *sizes.prod(axis=1)])[:-1]
-    texels = [textures[number].picture.texels for number in some]
-    cutoffs = [textures[number].cutoff for number in some]
-    cutoff = None if not any(cutoffs) else np.array([one or 0.0 for one in cutoffs])
+    texels = [one.whole.texels for one in some]
+    is_tested = any(one.cutoff for one in some)
+    cutoff = np.array([one.cutoff or 0.0 for one in some]) if is_tested else None
     table = np.concatenate([first[:, None], sizes], axis=1)
     # In single precision even where a mesh's vertices are not.
     with jax.enable_x64(False):
         return Textures(
-            uv, np.maximum(index, NO_TEXTURE), texels[0] if len(texels) == 1 else np.concatenate(texels), table, cutoff
+            uv,
+            np.maximum(index, NO_TEXTURE),
+            texels[0] if len(texels) == 1 else np.concatenate(texels),
+            table,
+            cutoff,
+            sampler_codes([one.sampler for one in some]),
+            alpha if is_tested else None,
         )
 
 

@@ -2,6 +2,7 @@
 
 import functools
 import os
+import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -11,12 +12,12 @@ from jaxtyping import Float, Int
 
 from .._types import HostArray
 from ..geometry import Mesh, crease_normals, step_of, weld
-from ..settings.scene import GLTF_SUFFIXES
+from ..settings.scene import GLTF_SUFFIXES, TexelFilter, Wraps
 from ._errors import FileError, MeshError, MeshWarning, damaged
 from ._gltf import read_gltf
 from ._gltf_data import files_beside
-from ._looks import Looks, MeshLooks, Picture, Texture, looks_of_triangles, read_texture
-from ._obj import read_obj
+from ._looks import GivenTexture, Looks, MeshLooks, Picture, looks_of_triangles, read_texture
+from ._obj import files_beside_obj, read_obj
 from ._off import read_off
 from ._paths import existing_file, on_disk
 from ._ply import read_ply
@@ -27,7 +28,7 @@ from ._trimesh import read_others, suffix_of_others
 # Readers take the file's bytes and its folder.
 _READERS: Mapping[str, Callable[[bytes, Path], Polygons]] = {
     **dict.fromkeys(GLTF_SUFFIXES, read_gltf),
-    ".obj": lambda data, _: read_obj(data),
+    ".obj": read_obj,
     ".off": lambda data, _: read_off(data),
     ".ply": lambda data, _: read_ply(data),
     ".stl": lambda data, _: read_stl(data),
@@ -51,15 +52,18 @@ def load_mesh(
     albedo: Sequence[float] | None = None,
     texture: str | os.PathLike[str] | None = None,
     alpha_cutoff: float | None = None,
+    texture_wrap: Wraps | None = None,
+    texture_filter: TexelFilter | None = None,
 ) -> Mesh:
     """Reads a mesh from a file: OBJ, PLY, STL, OFF, GLB, glTF 2.0, or a format that trimesh reads.
 
     The objects of a file are merged into one mesh, with their nodes' transforms applied. Vertices at the same position
-    are welded (files split them at texture seams). Polygons, convex or concave, are cut into triangles. Skins are
-    ignored. Colours of vertices are read from PLY, GLB and glTF, and taken as linear. From the last two, materials are
-    read too: base colours, their textures, and alpha tests. trimesh reads other formats, such as 3MF, COLLADA and zip
-    archives, without colours. It cuts polygons as fans, and some formats need a further package
-    (`pip install 'diffshadow[meshes]'`).
+    are welded (files split them at texture seams). Polygons, convex or concave, are cut into triangles. Skins have the
+    pose of the file's nodes. Colours of vertices are read from PLY, GLB and glTF, and taken as linear. From the last
+    two, materials are read too: base colours, their textures and samplers, and alpha tests. Of the MTL files of an OBJ
+    file, `Kd` (linear), `map_Kd`, `map_d` and `d` are read; a `map_d` cuts out what is below 0.5. trimesh reads other
+    formats, such as 3MF, COLLADA and zip archives, without colours. It cuts polygons as fans, and some formats need a
+    further package (`pip install 'diffshadow[meshes]'`).
 
     **Arguments:**
 
@@ -71,8 +75,12 @@ def load_mesh(
         file without these.
     - `texture`: the file of an image, sRGB, that takes the place of all textures; the file must have texture
         coordinates, which are read from OBJ, PLY, GLB and glTF.
-    - `alpha_cutoff`: alpha of textures, in [0, 1], below which faces are cut out; 0 for no alpha test; if left out, as
-        the file says.
+    - `alpha_cutoff`: alpha in [0, 1], of textures times that of the vertices of PLY, GLB and glTF, below which faces
+        are cut out; 0 for no alpha test; if left out, as the file says.
+    - `texture_wrap`: what textures show beyond their images: `"repeat"`, `"clamp"` or `"mirror"`, or a pair of these
+        along u and v; if left out, as the file says, or repeat.
+    - `texture_filter`: what they show between texels: `"linear"` or `"nearest"`; if left out, as the file says, or
+        linear.
 
     **Returns:** the mesh in the file's units and axes; use `fit_to_size` and `drop_to_ground` to place it in a scene.
     Under `jax.enable_x64` its vertices are float64, which a mesh far from the file's origin needs.
@@ -84,7 +92,8 @@ def load_mesh(
     **Raises** `FileError` if the file is missing, damaged, in an unknown format or in one whose package is missing,
     requires an unsupported extension of its format, has a polygon that crosses itself, holds no triangles, or holds
     vertices that are not finite; without a `crease_angle` if it has no normals, or some that are not finite; with a
-    `texture` if that cannot be read, or there are no texture coordinates; and with an `alpha_cutoff` without textures.
+    `texture` if that cannot be read, or there are no texture coordinates; with an `alpha_cutoff` without textures and
+    without alpha of vertices; and with a `texture_wrap` or a `texture_filter` without textures.
 
     !!! Example
 
@@ -98,15 +107,16 @@ def load_mesh(
         # NaN and infinite coordinates are checked after reading.
         with np.errstate(all="ignore"):
             if texture is not None and file.suffix.lower() == ".obj":
-                polygons = read_obj(on_disk(file).read_bytes(), with_uv=True)
+                polygons = read_obj(on_disk(file).read_bytes(), file.parent, with_uv=True)
             else:
                 polygons = _reader(file)(on_disk(file).read_bytes(), file.parent)
         _check(polygons)
         triangles = triangulate(polygons)
         vertices, faces, kept = weld(polygons.vertices, triangles)
         normals = _own_normals(polygons)[triangles[kept]] if crease_angle is None else None
-        own = None if texture is None else Texture(_image(texture))
-        looks = _looks(polygons, triangles[kept], kept, own, alpha_cutoff)
+        picture = None if texture is None else _image(texture)
+        given = GivenTexture(picture, alpha_cutoff, texture_wrap, texture_filter)
+        looks = _looks(polygons, triangles[kept], kept, given)
     except MeshError as fault:
         raise FileError(f"the mesh file {file} {fault}") from fault
     except OSError as error:
@@ -159,30 +169,32 @@ def _looks(
     polygons: Polygons,
     triangles: Int[HostArray, "t 3"],
     number: Int[HostArray, " t"],
-    texture: Texture | None,
-    alpha_cutoff: float | None,
+    given: GivenTexture,
 ) -> MeshLooks:
     """The colours and textures of triangles with these numbers among all of the file.
 
-    **Raises** `MeshError` for a texture without coordinates, and a cutoff without textures.
+    **Raises** `MeshError` for a texture without coordinates, and a cutoff or a sampler without textures.
     """
     polygon = np.repeat(np.arange(len(polygons.sizes)), np.maximum(polygons.sizes - 2, 0))[number]
-    looks = looks_of_triangles(polygons.looks or Looks(), triangles, polygon, texture, alpha_cutoff)
-    if alpha_cutoff is not None and looks.textures is None:
-        raise MeshError(
-            f"has no textures, and alpha_cutoff {alpha_cutoff} was given; expected a texture with it: give one, or "
-            "leave alpha_cutoff out"
-        )
+    looks = looks_of_triangles(polygons.looks or Looks(), triangles, polygon, given)
+    names = {"alpha_cutoff": given.cutoff, "texture_wrap": given.wrap, "texture_filter": given.filter}
+    for name, value in names.items():
+        if value is not None and looks.textures is None:
+            raise MeshError(
+                f"has no textures, and {name} {value} was given; expected a texture with it: give one, or leave {name} "
+                "out"
+            )
     return looks
 
 
 def files_of_mesh(path: str | os.PathLike[str]) -> list[Path]:
     """The absolute paths of a mesh file and of the files beside it that it refers to, as far as there are such."""
     file = Path(os.path.abspath(path))
-    if file.suffix.lower() not in GLTF_SUFFIXES:
+    beside = {**dict.fromkeys(GLTF_SUFFIXES, files_beside), ".obj": files_beside_obj}.get(file.suffix.lower())
+    if beside is None:
         return [file]
     try:
-        return [file, *files_beside(on_disk(file).read_bytes(), file.parent)]
+        return [file, *beside(on_disk(file).read_bytes(), file.parent)]
     except (MeshError, OSError):
         # The reader reports it.
         return [file]
@@ -278,5 +290,6 @@ def _left_out(polygons: Polygons, tiny: int = 0) -> str:
 
 
 def _plural(name: str) -> str:
-    first, of, rest = name.partition(" of ")
-    return f"{first}{'es' if first.endswith('sh') else 's'}{of}{rest}"
+    # Without what follows the noun.
+    first = re.split(" of | that | without ", name)[0]
+    return f"{first}{'es' if first.endswith('sh') else 's'}{name.removeprefix(first)}"

@@ -1,6 +1,7 @@
 """Wavefront OBJ files: https://paulbourke.net/dataformats/obj/."""
 
-from collections import defaultdict
+from collections import Counter, defaultdict
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 from .._types import HostArray
 from ._errors import MeshError, damaged
 from ._looks import Looks
+from ._mtl import Material, Materials, files_of_materials
 from ._polygons import Polygons
 from ._text import decode, excerpt, integers, read_points, split_lines
 
@@ -16,19 +18,18 @@ from ._text import decode, excerpt, integers, read_points, split_lines
 _OTHERS = {"p": "point", "l": "line", "curv": "free-form curve", "surf": "free-form surface"}
 
 
-def read_obj(data: bytes, with_uv: bool = False) -> Polygons:
-    """Reads the faces of all objects and groups, and their texture coordinates. Materials and normals are not read.
+def read_obj(data: bytes, folder: Path, with_uv: bool = False) -> Polygons:
+    """Reads the faces of all objects and groups, their materials, and their texture coordinates. Normals are not read.
 
-    **Arguments:** `with_uv`: whether to read texture coordinates, which takes as long as the faces.
+    **Arguments:**
+
+    - `folder`: the file's folder, where the files of materials are looked up.
+    - `with_uv`: whether to read texture coordinates where no material needs them. That takes as long as the faces.
 
     **Raises** `MeshError` if the file is damaged.
     """
     text = decode(data)
-    lines = _joined(split_lines(text)) if "\\" in text else split_lines(text)
-    # The lines that begin with each keyword.
-    at: defaultdict[str, list[int]] = defaultdict(list)
-    for i, line in enumerate(lines):
-        at[line.partition(" ")[0]].append(i)
+    lines, at = _lines(text)
     vertex_at, face_at = at["v"], at["f"]
     vertices = read_points(lines, vertex_at, first=1)
     sizes = np.fromiter((len(lines[i].split()) - 1 for i in face_at), np.int64, len(face_at))
@@ -42,18 +43,91 @@ def read_obj(data: bytes, with_uv: bool = False) -> Polygons:
     above = np.repeat(np.searchsorted(vertex_at, face_at), sizes)
     indices = np.where(corners < 0, above + corners, corners - 1)
     _check(lines, face_at, sizes, corners, (indices >= 0) & (indices < len(vertices)), len(vertices))
-    left_out = {name: len(at[key]) for key, name in _OTHERS.items()}
-    uv = _coordinates(lines, at["vt"], given, face_at, sizes) if with_uv and at["vt"] else None
+    left_out = Counter({name: len(at[key]) for key, name in _OTHERS.items()})
+    materials, used = _materials(lines, at, folder, left_out)
+    is_textured = any(each.texture is not None for each in materials)
+    uv = None
+    if at["vt"] and (with_uv or is_textured):
+        uv = _coordinates(lines, at["vt"], given, face_at, sizes)
+    if uv is not None and with_uv:
+        uv = uv if (uv.rows >= 0).all() else None
+        # For an image in place of the materials' own.
+        materials = [Material(each.factor) for each in materials]
+    looks = _looks(materials, used, uv, sizes, left_out)
     if uv is None:
-        return Polygons(vertices, indices, sizes, left_out)
-    # A vertex for each pair of place and texture coordinates.
-    pairs, indices = np.unique(np.stack([indices, uv.rows], axis=1), axis=0, return_inverse=True)
-    vertices, uv = vertices[pairs[:, 0]], uv.values[pairs[:, 1]]
-    return Polygons(vertices, indices.reshape(-1), sizes, left_out, looks=Looks(uv=uv))
+        return Polygons(vertices, indices, sizes, left_out, looks=looks)
+    # A vertex for each place with its texture coordinates, which materials may move.
+    of_corner = np.repeat(used, sizes)
+    keys, indices = np.unique(np.stack([indices, uv.rows, of_corner], axis=1), axis=0, return_inverse=True)
+    scale, offset = (
+        np.array([missing, *(getattr(each, name) for each in materials)])[keys[:, 2] + 1]
+        for name, missing in (("scale", (1.0, 1.0)), ("offset", (0.0, 0.0)))
+    )
+    coordinates = np.where(keys[:, 1:2] >= 0, uv.values[keys[:, 1]] * scale + offset, 0)
+    looks = (looks or Looks())._replace(uv=coordinates)
+    return Polygons(vertices[keys[:, 0]], indices.reshape(-1), sizes, left_out, looks=looks)
+
+
+def files_beside_obj(data: bytes, folder: Path) -> list[Path]:
+    """The files of materials, and their images, that an OBJ file in `folder` refers to, as far as there are such."""
+    if b"mtllib" not in data:
+        return []
+    lines, at = _lines(decode(data))
+    return files_of_materials(_rests(lines, at["mtllib"]), folder)
+
+
+def _lines(text: str) -> tuple[list[str], defaultdict[str, list[int]]]:
+    """The lines of a file, and the places of those that begin with each keyword."""
+    lines = _joined(split_lines(text)) if "\\" in text else split_lines(text)
+    at: defaultdict[str, list[int]] = defaultdict(list)
+    for i, line in enumerate(lines):
+        at[line.partition(" ")[0]].append(i)
+    return lines, at
+
+
+def _rests(lines: list[str], at: list[int]) -> list[str]:
+    """What follows the keyword of these lines."""
+    return [lines[i].partition(" ")[2].strip() for i in at]
+
+
+def _materials(
+    lines: list[str], at: defaultdict[str, list[int]], folder: Path, left_out: Counter[str]
+) -> tuple[list[Material], Int[HostArray, " f"]]:
+    """The materials that faces use, and the number of each face's; -1 for none."""
+    library = Materials(_rests(lines, at["mtllib"]), folder, left_out)
+    names = _rests(lines, at["usemtl"])
+    last = np.searchsorted(at["usemtl"], at["f"]) - 1
+    found = {name: library.of(name) for name in dict.fromkeys(names[i] for i in np.unique(last[last >= 0]))}
+    numbers = {name: i for i, name in enumerate(name for name, each in found.items() if each is not None)}
+    # The last one is for faces above the first line usemtl.
+    of_line = np.array([*(numbers.get(name, -1) for name in names), -1])
+    return [each for each in found.values() if each is not None], of_line[last]
+
+
+def _looks(
+    materials: list[Material],
+    used: Int[HostArray, " f"],
+    uv: "_Coordinates | None",
+    sizes: Int[HostArray, " f"],
+    left_out: Counter[str],
+) -> Looks | None:
+    """The colours and textures of faces; none without materials."""
+    if not materials:
+        return None
+    factors = np.array([*(each.factor for each in materials), Material().factor])
+    textures = list(dict.fromkeys(each.texture for each in materials if each.texture is not None))
+    numbers = np.array([*(-1 if each.texture is None else textures.index(each.texture) for each in materials), -1])
+    texture = numbers[used]
+    lacks = np.ones(len(sizes), bool)
+    if uv is not None:
+        lacks[:] = False
+        lacks[np.repeat(np.arange(len(sizes)), sizes)[uv.rows < 0]] = True
+    left_out["texture of a face without texture coordinates"] += int(np.sum(lacks & (texture >= 0)))
+    return Looks(factor=factors[used], texture=np.where(lacks, -1, texture), textures=textures)
 
 
 class _Coordinates(NamedTuple):
-    """Texture coordinates (n, 2), and the row of each corner's (c,)."""
+    """Texture coordinates (n, 2), and the row of each corner's (c,); -1 for none."""
 
     values: Float[HostArray, "n 2"]
     rows: Int[HostArray, " c"]
@@ -62,17 +136,18 @@ class _Coordinates(NamedTuple):
 def _coordinates(
     lines: list[str], at: list[int], words: list[str], face_at: list[int], sizes: Int[HostArray, " f"]
 ) -> _Coordinates | None:
-    """None unless all corners have texture coordinates."""
+    """The texture coordinates; none if they are damaged."""
     try:
-        index = integers([word.split("/")[1] for word in words])
+        number = integers([word.partition("/")[2].partition("/")[0] or "0" for word in words])
         values = np.array([lines[i].split()[1:3] for i in at], np.float64)
-    except (ValueError, IndexError):
+    except ValueError:
         return None
     above = np.repeat(np.searchsorted(at, face_at), sizes)
-    index = np.where(index < 0, above + index, index - 1)
-    if values.ndim != 2 or values.shape[1] != 2 or not ((index >= 0) & (index < len(values))).all():
+    row = np.where(number < 0, above + number, number - 1)
+    is_given = number != 0
+    if values.ndim != 2 or values.shape[1] != 2 or not ((row >= 0) & (row < len(values)))[is_given].all():
         return None
-    return _Coordinates(values, index)
+    return _Coordinates(values, np.where(is_given, row, -1))
 
 
 def _joined(lines: list[str]) -> list[str]:

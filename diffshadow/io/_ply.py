@@ -40,7 +40,7 @@ _ORDERS: Mapping[str, _Order] = {"ascii": "=", "binary_little_endian": "<", "bin
 # The names that writers give to the list of a face's corners.
 _CORNERS = ("vertex_indices", "vertex_index")
 _NORMAL = ("nx", "ny", "nz")
-_COLOUR = ("red", "green", "blue")
+_COLOUR, _ALPHA = ("red", "green", "blue"), ("alpha",)
 # The names that writers give to texture coordinates; the first are written.
 _COORDINATES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 # Every float64 from here on is a whole number.
@@ -110,17 +110,16 @@ def read_ply(data: bytes) -> Polygons:
 
 
 def _looks(vertex: Mapping[str, _Column], types: Mapping[str, np.dtype]) -> Looks | None:
-    """Colours of vertices, as they are from 0 to 1 or as parts of the greatest integer of their type, and texture
-    coordinates."""
-    colours = uv = None
+    """Colours and alpha of vertices, as they are from 0 to 1 or as parts of the greatest integer of their type, and
+    texture coordinates."""
     has = lambda names: all(name in vertex and (vertex[name].sizes == 1).all() for name in names)
-    if has(_COLOUR):
-        greatest = [np.iinfo(kind).max if kind.kind in "iu" else 1 for kind in (types[name] for name in _COLOUR)]
-        colours = _points(vertex, _COLOUR) / greatest
-    for names in _COORDINATES:
-        if uv is None and has(names):
-            uv = _points(vertex, names)
-    return None if colours is None and uv is None else Looks(colours, uv)
+    greatest = lambda kind: np.iinfo(kind).max if kind.kind in "iu" else 1
+    parts = lambda names: _points(vertex, names) / [greatest(types[name]) for name in names] if has(names) else None
+    colours, alpha = parts(_COLOUR), parts(_ALPHA)
+    uv = next((_points(vertex, names) for names in _COORDINATES if has(names)), None)
+    if colours is None and uv is None and alpha is None:
+        return None
+    return Looks(colours, uv, alpha=None if alpha is None else alpha[:, 0])
 
 
 def _header(data: bytes) -> _Header:
@@ -374,6 +373,7 @@ def write_ply(
     normals: Float[HostArray, "v 3"] | None = None,
     colours: Float[HostArray, "v 3"] | None = None,
     uv: Float[HostArray, "v 2"] | None = None,
+    alpha: Float[HostArray, " v"] | None = None,
 ) -> None:
     """Writes triangles as a binary PLY file in single precision.
 
@@ -381,10 +381,15 @@ def write_ply(
 
     - `vertices`, `normals`: (v, 3); `faces`: (f, 3), indices into `vertices`.
     - `colours`: (v, 3), linear, in [0, 1]; `uv`: (v, 2), texture coordinates, (0, 0) at an image's lower left corner.
+    - `alpha`: (v,), in [0, 1].
 
     **Raises** `FileError` if the file cannot be written.
     """
-    given = ((tuple("xyz"), vertices), (_NORMAL, normals), (_COLOUR, colours), (_COORDINATES[0], uv))
+    opacity = None if alpha is None else np.asarray(alpha)[:, None]
+    given = (
+        *((tuple("xyz"), vertices), (_NORMAL, normals)),
+        *((_COLOUR, colours), (_ALPHA, opacity), (_COORDINATES[0], uv)),
+    )
     columns = [values for _, values in given if values is not None]
     names = [name for each, values in given if values is not None for name in each]
     rows = np.concatenate(columns, axis=1).astype("<f4")

@@ -27,6 +27,7 @@ from ..geometry import (
     MatrixLight,
     Mesh,
     PointLight,
+    Sampler,
     Scene,
     SpotLight,
     View,
@@ -34,6 +35,7 @@ from ..geometry import (
 from ..settings.scene import GLTF_SUFFIXES
 from ._atomic import atomic_path
 from ._errors import FileError
+from ._gltf_materials import FILTERS, WRAPS
 from ._gltf_schema import EXTRAS, LIGHTS
 from ._looks import levels_of, png_of
 
@@ -50,8 +52,9 @@ def write_gltf(path: str | os.PathLike[str], scene: Scene, *, extras: Mapping[st
     """Writes a scene as glTF 2.0, such as a fitted one for another renderer.
 
     Meshes have the normals of their corners and their albedo: one colour as the material's; several, and colours of
-    corners, as colours of vertices (`COLOR_0`, linear). Textures are PNG images within the file, with 8 bits. Faces
-    with different ones are primitives of their own, and alpha tests are materials of mode MASK. Vertices are repeated
+    corners, as colours of vertices (`COLOR_0`, linear). Textures are PNG images within the file, with 8 bits, and their
+    samplers. Faces with different ones are primitives of their own, and alpha tests are materials of mode MASK, with
+    the corners' alpha in `COLOR_0`. Vertices are repeated
     where corners have other normals, colours or texture coordinates. Cameras are perspective or orthographic. A
     directional, point or spot light is one of KHR_lights_punctual with the intensity 1. A rectangle light is a point
     light there, and a light of matrices a directional or a spot light. The `extras` of the nodes of cameras and lights
@@ -92,7 +95,7 @@ class _Arrays:
         self.binary = b""
 
     def add(self, rows: HostArray, *, bounded: bool = False) -> int:
-        """Adds float vectors (n, 3) or (n, 2), or indices (n,). **Returns** the accessor's number."""
+        """Adds float vectors (n, 2), (n, 3) or (n, 4), or indices (n,). **Returns** the accessor's number."""
         is_index = rows.ndim == 1
         data = np.ascontiguousarray(rows, "<u4" if is_index else "<f4")
         view = {"buffer": 0, "byteOffset": len(self.binary), "byteLength": data.nbytes}
@@ -118,7 +121,8 @@ class _Arrays:
 def _document(scene: Scene, extras: Mapping[str, Any]) -> tuple[dict[str, Any], bytes]:
     """The file's JSON but for its buffer, and the buffer's bytes."""
     arrays = _Arrays()
-    meshes, materials, nodes, images = [], [], [], []
+    meshes, materials, nodes, images, textures = [], [], [], [], []
+    samplers: list[Sampler] = []
     casts, receives = (each or (True,) * len(scene.meshes) for each in (scene.casts, scene.receives))
     for i, mesh in enumerate(scene.meshes):
         primitives = []
@@ -126,7 +130,10 @@ def _document(scene: Scene, extras: Mapping[str, Any]) -> tuple[dict[str, Any], 
             primitive, material = _primitive(part, arrays)
             if texture is not None:
                 images.append({"bufferView": arrays.add_image(texture.image), "mimeType": "image/png"})
-                material["pbrMetallicRoughness"]["baseColorTexture"] = {"index": len(images) - 1}
+                if texture.sampler not in samplers:
+                    samplers.append(texture.sampler)
+                textures.append({"source": len(images) - 1, "sampler": samplers.index(texture.sampler)})
+                material["pbrMetallicRoughness"]["baseColorTexture"] = {"index": len(textures) - 1}
                 if texture.cutoff:
                     material |= {"alphaMode": "MASK", "alphaCutoff": texture.cutoff}
             primitives.append({**primitive, "material": len(materials)})
@@ -160,15 +167,23 @@ def _document(scene: Scene, extras: Mapping[str, Any]) -> tuple[dict[str, Any], 
         "bufferViews": arrays.views,
         "extensionsUsed": [LIGHTS],
         "extensions": {LIGHTS: {"lights": lights}},
-        **({"images": images, "textures": [{"source": i} for i in range(len(images))]} if images else {}),
+        **({"images": images, "textures": textures, "samplers": [*map(_sampler, samplers)]} if images else {}),
     }, arrays.binary
 
 
+def _sampler(sampler: Sampler) -> dict[str, int]:
+    """The sampler by the numbers of OpenGL."""
+    number = lambda numbers, word: next(number for number, each in numbers.items() if each == word)
+    u, v = (number(WRAPS, word) for word in sampler.wrap)
+    return {"wrapS": u, "wrapT": v, "magFilter": number(FILTERS, sampler.filter)}
+
+
 class _Texture(NamedTuple):
-    """Linear texels, and the cutoff of the alpha test; 0 for none."""
+    """Linear texels, the cutoff of the alpha test, 0 for none, and how the texture is read."""
 
     image: Float[HostArray, "h w 4"]
     cutoff: float
+    sampler: Sampler
 
 
 def _by_texture(mesh: Mesh) -> Iterator[tuple[Mesh, _Texture | None]]:
@@ -177,7 +192,7 @@ def _by_texture(mesh: Mesh) -> Iterator[tuple[Mesh, _Texture | None]]:
         yield mesh, None
         return
     textures = mesh.textures
-    index, images = _known(textures.index), textures.images()
+    index, images, samplers = _known(textures.index), textures.images(), textures.each_sampler()
     cutoff = np.zeros(len(images)) if textures.cutoff is None else _known(textures.cutoff)
     for number in np.unique(index):
         of = np.flatnonzero(index == number)
@@ -185,7 +200,7 @@ def _by_texture(mesh: Mesh) -> Iterator[tuple[Mesh, _Texture | None]]:
         faces, normals, albedo = (_known(values)[of] for values in (mesh.faces, mesh.corner_normals, mesh.albedo))
         own = None if number < 0 else textures.for_faces(of)
         part = Mesh(mesh.vertices, faces, normals, albedo, colours, own)
-        yield part, None if number < 0 else _Texture(images[number], float(cutoff[number]))
+        yield part, None if number < 0 else _Texture(images[number], float(cutoff[number]), samplers[number])
 
 
 def _primitive(mesh: Mesh, arrays: _Arrays) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -196,6 +211,9 @@ def _primitive(mesh: Mesh, arrays: _Arrays) -> tuple[dict[str, Any], dict[str, A
     if mesh.corner_colours is not None:
         corner_colours = _known(mesh.corner_colours).reshape(-1, 3)
         colours = corner_colours if colours is None else colours * corner_colours
+    if mesh.textures is not None and mesh.textures.corner_alpha is not None:
+        alpha = _known(mesh.textures.corner_alpha).reshape(-1, 1)
+        colours = np.concatenate([np.ones((len(alpha), 3)) if colours is None else colours, alpha], axis=1)
     # An image's first row is its top row.
     uv = None if mesh.textures is None else _known(mesh.textures.uv).reshape(-1, 2) * (1, -1) + (0, 1)
     corners = _known(mesh.corner_normals).reshape(-1, 3).astype(np.float32)

@@ -2,7 +2,7 @@
 
 Texture coordinates are perspective-correct: with the corners' (x, y, w) as the columns of M, their weights at the point
 (X, Y) of the view are M⁻¹ (X, Y, 1) up to a factor (2D homogeneous rasterization, Olano & Greer 1997). So triangles
-that reach behind the eye need no clipping here. The alpha between texels is bilinear, and there are no mipmaps.
+that reach behind the eye need no clipping here. There are no mipmaps.
 """
 
 from typing import Any, NamedTuple
@@ -12,34 +12,41 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._arithmetic import safe_divide, take
 from .._types import ClipVertices, Faces, Viewport
-from ..geometry import Textures, bilinear
+from ..geometry import Textures, read_texels
 
 
 class Cutouts(NamedTuple):
-    """What an alpha test reads of textures: the `alpha` of all texels (n, 1), and `table` and `cutoff` as there."""
+    """What an alpha test reads of textures: the `alpha` of all texels (n, 1), and `table`, `cutoff` and `samplers` as
+    there."""
 
     alpha: Float[Array, "n 1"]
     table: Int[Array, "t 3"]
     cutoff: Float[Array, " t"]
+    samplers: Int[Array, "t 3"] | None
 
     @classmethod
     def of(cls, textures: Textures) -> "Cutouts":
         """Of textures with cutoffs."""
         assert textures.cutoff is not None
-        return cls(textures.texels[:, 3:], textures.table, textures.cutoff)
+        return cls(textures.texels[:, 3:], textures.table, textures.cutoff, textures.samplers)
 
-    def passes(self, index: Int[Array, "*m"], uv: Float[Array, "*m 2"]) -> Bool[Array, "*m"]:
-        """Whether points with these textures and texture coordinates are not cut out."""
-        alpha = bilinear(self.alpha, self.table, index, uv)[..., 0]
+    def passes(
+        self, index: Int[Array, "*m"], uv: Float[Array, "*m 2"], factor: Float[Array, "*m"] | None
+    ) -> Bool[Array, "*m"]:
+        """Whether points with these textures and texture coordinates are not cut out; `factor` is the mean alpha of
+        their corners, if these have one."""
+        alpha = read_texels(self.alpha, self.table, self.samplers, index, uv)[..., 0]
+        alpha = alpha if factor is None else alpha * factor
         return (index < 0) | (alpha >= take(self.cutoff, jnp.maximum(index, 0)))
 
 
 class AlphaForm(NamedTuple):
     """Texture coordinates of triangles about the pixel of each one's first corner, (n,) each.
 
-    At `i` pixels to the right and `j` above that pixel, the coordinates are `u / w` and `v / w`, where each of the
-    three is its first number, plus `i` times its second, plus `j` times its third. A window begins `x` to the right and
-    `y` above. So a pixel has the same coordinates whatever part of an image it is drawn with.
+    At `i` pixels to the right and `j` above that pixel, the coordinates are `u / w` and `v / w`, and the mean alpha of
+    the corners `alpha / w`, where each of the four is its first number, plus `i` times its second, plus `j` times its
+    third. A window begins `x` to the right and `y` above. So a pixel has the same coordinates whatever part of an image
+    it is drawn with.
     """
 
     u: list[Float[Array, " n"]]
@@ -48,6 +55,7 @@ class AlphaForm(NamedTuple):
     x: Int[Array, " n"]
     y: Int[Array, " n"]
     texture: Int[Array, " n"]
+    alpha: list[Float[Array, " n"]] | None
 
 
 class AlphaTest:
@@ -62,8 +70,7 @@ class AlphaTest:
     def __init__(self, textures: Textures, clip: ClipVertices, faces: Faces, resolution: Viewport):
         self.clip, self.faces, self.resolution = clip, faces, resolution
         self.index, self.cutouts = textures.index, Cutouts.of(textures)
-        # Less the whole repetitions of the first corner, which keeps the digits.
-        self.uv = textures.uv - jnp.floor(textures.uv[:, :1])
+        self.uv, self.corner_alpha = textures.uv - textures.whole_repetitions, textures.corner_alpha
 
     def form(self, face: Int[Array, " n"], x: Int[Array, " n"], y: Int[Array, " n"]) -> AlphaForm:
         """The texture coordinates of faces in windows that begin at the pixels (`x`, `y`) of the image."""
@@ -85,7 +92,11 @@ class AlphaTest:
         total = lambda values: [_sum_of(row, values) for row in rows]
         ones = [jnp.ones_like(values) for values in w]
         u, v = ([uv[:, k, axis] for k in range(3)] for axis in range(2))
-        return AlphaForm(total(u), total(v), total(ones), x - first_x, y - first_y, take(self.index, face))
+        alpha = None
+        if self.corner_alpha is not None:
+            of_corners = take(self.corner_alpha, face)
+            alpha = total([of_corners[:, k] for k in range(3)])
+        return AlphaForm(total(u), total(v), total(ones), x - first_x, y - first_y, take(self.index, face), alpha)
 
     @staticmethod
     def _pixel(at: Float[Array, " n"], w: Float[Array, " n"], size: Float[Array, ""]) -> Int[Array, " n"]:
@@ -98,9 +109,11 @@ class AlphaTest:
         i = jnp.arange(side, dtype=jnp.int32)
         each = lambda values: values[:, None, None]
         x, y = (each(form.x) + i).astype(jnp.float32), (each(form.y) + i[:, None]).astype(jnp.float32)
-        u, v, w = (each(first) + each(right) * x + each(up) * y for first, right, up in form[:3])
+        at = lambda numbers: each(numbers[0]) + each(numbers[1]) * x + each(numbers[2]) * y
+        u, v, w = map(at, form[:3])
         uv = jnp.stack([safe_divide(u, w), safe_divide(v, w)], axis=-1)
-        return self.cutouts.passes(jnp.broadcast_to(each(form.texture), u.shape), uv)
+        factor = None if form.alpha is None else safe_divide(at(form.alpha), w)
+        return self.cutouts.passes(jnp.broadcast_to(each(form.texture), u.shape), uv, factor)
 
 
 def _sum_of(weights: list[Array], values: list[Array]) -> Any:

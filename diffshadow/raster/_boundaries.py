@@ -317,8 +317,8 @@ def find_creases(mesh: Mesh, edges: Edges) -> Bool[HostArray, " n"]:
     """Which of its `edges` are creases: the shading normal, albedo or corners' colours of their two faces differ there,
     or the faces have other textures or texture coordinates.
 
-    Coordinates that differ by whole repetitions are the same. A seam whose texels are alike on both sides counts as a
-    crease, which does no harm: its two colours are equal.
+    Coordinates that differ by whole repetitions of an image are the same. A seam whose texels are alike on both sides
+    counts as a crease, which does no harm: its two colours are equal.
     """
     shared, albedo = share_vertices(mesh), np.asarray(mesh.albedo)
     vertices, faces = np.asarray(edges.vertices), np.asarray(edges.faces)
@@ -332,8 +332,10 @@ def find_creases(mesh: Mesh, edges: Edges) -> Bool[HostArray, " n"]:
             first, second = differences(values)
             differs |= far(first) | far(second)
     if mesh.textures is not None:
-        index = np.asarray(mesh.textures.index)[faces]
+        index, samplers = np.asarray(mesh.textures.index)[faces], mesh.textures.samplers
         first, second = differences(mesh.textures.uv)
-        is_seam = far(first - np.round(first)) | far(second - np.round(first))
+        repeats = True if samplers is None else (np.asarray(samplers)[np.maximum(index[:, 0], 0), :2] == 0)
+        whole = np.where(repeats, np.round(first), 0)
+        is_seam = far(first - whole) | far(second - whole)
         differs |= (index[:, 0] != index[:, 1]) | (is_seam & (index[:, 0] >= 0))
     return differs & (faces[:, 1] != NO_NEIGHBOUR)

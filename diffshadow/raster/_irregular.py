@@ -352,7 +352,7 @@ def _test(
             hit = inside & behind & (take(own, at) != triangle[:, None])
             if textures is not None and cutouts is not None:
                 index = jnp.broadcast_to(take(textures.index, triangle)[:, None], hit.shape)
-                hit = hit & cutouts.passes(index, _coordinates(textures, shadows.opposite, triangle, heights[:3]))
+                hit = hit & cutouts.passes(index, *_coordinates(textures, shadows.opposite, triangle, heights[:3]))
             hidden = hidden.at[jnp.where(exists, at, blocks)].max(hit, mode="drop")
             return start + _PAIRS, hidden
 
@@ -366,18 +366,24 @@ def _test(
 
 def _coordinates(
     textures: Textures, opposite: list[Array], triangle: Int[Array, " p"], heights: list[Array]
-) -> Float[Array, "p b 2"]:
-    """The texture coordinates of the points of triangles that hide points with these heights above the edges' planes.
+) -> tuple[Float[Array, "p b 2"], Float[Array, "p b"] | None]:
+    """The texture coordinates and, if corners have one, the mean alpha of the points of triangles that hide points with
+    these heights above the edges' planes.
 
     Along a ray from the light, the three heights change by one factor. So at the triangle, they are in proportion to
     the barycentric coordinates of the opposite corners, times these corners' heights.
     """
-    uv = take(textures.uv, triangle)[:, None]
     pairs = zip(heights, opposite, strict=True)
     c, a, b = (safe_divide(height, take(whole, triangle)[:, None]) for height, whole in pairs)
     total = a + b + c
-    mean = sum(weight[..., None] * uv[:, :, corner] for corner, weight in enumerate((a, b, c)))
-    return safe_divide(jnp.asarray(mean), total[..., None])
+    alpha = textures.corner_alpha
+
+    def mean(values: Array) -> Array:
+        of_corners = take(values, triangle)[:, None]
+        return jnp.asarray(sum(weight[..., None] * of_corners[:, :, k] for k, weight in enumerate((a, b, c))))
+
+    uv = safe_divide(mean(textures.uv), total[..., None])
+    return uv, None if alpha is None else safe_divide(mean(alpha[..., None])[..., 0], total)
 
 
 def _height(plane: list[Array], x: Array, y: Array, z: Array) -> Array:

@@ -125,7 +125,9 @@ def passes_at_points(mesh: Mesh, face: FaceMap, clip: ClipVertices, points: Poin
     assert textures is not None
     at = barycentrics_at(face, corner_values(clip, mesh.faces, face.size), points)
     index = jnp.where(at.mask, take(textures.index, at.face), NO_TEXTURE)
-    return Cutouts.of(textures).passes(index, interpolate_corners(at, textures.uv))
+    alpha = textures.corner_alpha
+    factor = None if alpha is None else interpolate_corners(at, alpha[..., None])[..., 0]
+    return Cutouts.of(textures).passes(index, interpolate_corners(at, textures.uv), factor)
 
 
 def _surface_of(

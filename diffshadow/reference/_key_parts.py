@@ -23,7 +23,7 @@ class KeyedScene(NamedTuple):
 
     scene: Scene
     mesh: tuple[HostArray, HostArray]
-    cutouts: tuple[HostArray, ...]
+    cutouts: tuple[Any, ...]
     camera: Any
     light: Any
 
@@ -47,7 +47,7 @@ def key_parts(
 
     Equal keys mean equal references. The key leaves out what has no effect on visibility: shading normals, albedo,
     colours of corners and textures, a spot light's inner angle, and samples, sampler and seed for a light without size.
-    Of textures with an alpha test, it has alpha, cutoffs and texture coordinates.
+    Of textures with an alpha test, it has alpha, cutoffs, samplers and texture coordinates.
 
     **Arguments:** `scene`: or its `KeyedScene`, which saves time for many keys. The others are as for
     `trace_visibility`.
@@ -64,13 +64,15 @@ def key_parts(
     return ("reference", _ALGORITHM, sampling, triangles, known.camera, known.light)
 
 
-def _cutouts(mesh: Mesh) -> tuple[HostArray, ...]:
+def _cutouts(mesh: Mesh) -> tuple[Any, ...]:
     """What an alpha test of the mesh depends on; nothing without one."""
     textures = mesh.alpha_test
     if textures is None:
         return ()
     arrays = textures.uv, textures.index, textures.texels[:, 3], textures.table, textures.cutoff
-    return tuple(np.asarray(array) for array in arrays)
+    others = {"samplers": textures.samplers, "corner_alpha": textures.corner_alpha}
+    more = [(name, np.asarray(array)) for name, array in others.items() if array is not None]
+    return *(np.asarray(array) for array in arrays), *more
 
 
 def _fields(module: Any) -> tuple[Any, ...]:

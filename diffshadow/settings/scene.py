@@ -25,6 +25,13 @@ NO_MESH_SUFFIXES = ("", ".yaml", ".yml", ".json", ".txt")
 """Suffixes that never name a mesh where a configuration is expected."""
 MAX_TEXTURE = 8192
 """The most texels of a texture along each side."""
+Wrap = Literal["repeat", "clamp", "mirror"]
+"""What a texture shows beyond its image along an axis: the image again, its border, or every other time its mirror
+image. In OpenGL and glTF, `REPEAT`, `CLAMP_TO_EDGE` and `MIRRORED_REPEAT`."""
+Wraps = Wrap | tuple[Wrap, Wrap]
+"""Along both axes, or along u and along v."""
+TexelFilter = Literal["linear", "nearest"]
+"""What a texture shows between the middles of its texels: their bilinear mean, or the nearest one's."""
 LightKind = Literal["directional", "spot", "point"]
 """The lights of engines and of files."""
 

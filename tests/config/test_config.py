@@ -568,6 +568,16 @@ SCENES = {
         "2: scene.meshes.0.alpha_cutoff: is given with a builtin mesh; expected a mesh file, which may have UV; remove "
         "alpha_cutoff",
     ),
+    "a word or a list of words": (
+        "  meshes: [path: 'builtin:box']\ntechnique: {type: three.js, side: [front, bak]}\n",
+        "3: technique.side: is ['front', 'bak']; expected front, back or double, or a list with one of them for each "
+        "mesh; give such a value",
+    ),
+    "a sampler of a builtin": (
+        "  meshes: [{path: 'builtin:box', texture_filter: nearest}]\n",
+        "2: scene.meshes.0.texture_filter: is given with a builtin mesh; expected a mesh file, which may have UV; "
+        "remove texture_filter",
+    ),
     "orbit and eye": (
         "  meshes: [path: 'builtin:box']\n  camera:\n    orbit: {azimuth: 3}\n    eye: [1, 2, 3]\n",
         "5: scene.camera.eye: is given together with orbit; expected one or the other; "

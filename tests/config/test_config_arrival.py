@@ -64,6 +64,8 @@ OF_SEVERAL = {
         "normals",
         "texture",
         "alpha_cutoff",
+        "texture_wrap",
+        "texture_filter",
     ),
     *("factors", "terms", "network", "plane", "attenuation", "distances", "shares"),
     *("parameters", "solver", "anneal", "shape", "views", "validation", "loss", "prefer", "blurs", "multistart"),

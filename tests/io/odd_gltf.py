@@ -188,8 +188,51 @@ def without_positions(builder: Builder) -> None:
     builder.tree["meshes"][0]["primitives"].append({"attributes": {"COLOR_0": 0}})
 
 
-def skinned(builder: Builder) -> None:
-    builder.tree["nodes"][0]["skin"] = 0
+HALVES = np.full((4, 4), 20000, np.uint16)
+
+
+def skin_missing(builder: Builder) -> None:
+    builder.tree["nodes"][0] |= {"skin": 0, "name": "figure"}
+
+
+def skinned(builder: Builder, sets: int = 1, weights: Any = HALVES) -> None:
+    """The square at twice its size, below a node whose place does not count. Half of each corner follows a joint that
+    quarters it, half one that scales it by 3/4: by 3/2, of half the size that its inverse bind matrix leaves."""
+    builder.tree["nodes"] = [
+        {"mesh": 0, "skin": 0, "translation": [9, 9, 9], "scale": [5, 5, 5]},
+        {"scale": [0.5, 0.5, 0.5], "children": [2]},
+        {"scale": [0.5, 0.5, 0.5]},
+        {"scale": [1.5, 1.5, 1.5]},
+    ]
+    builder.tree["scenes"] = [{"nodes": [0, 1, 3]}]
+    inverses = np.stack([np.eye(4), np.diag([0.5, 0.5, 0.5, 1])]).astype(np.float32)
+    place = builder.add(inverses.reshape(2, 16))
+    builder.tree["accessors"][place]["type"] = "MAT4"
+    builder.tree["skins"] = [{"joints": [2, 3], "inverseBindMatrices": place}]
+    for number in range(sets):
+        # With two sets, the first joint is in one, and the second in the other.
+        joints = [0, 1, 0, 0] if sets == 1 else [number] * 4
+        builder.primitive["attributes"] |= {
+            f"JOINTS_{number}": builder.add(np.tile(np.array([joints], np.uint8), (4, 1))),
+            f"WEIGHTS_{number}": builder.add(
+                weights * np.array([[1, sets == 1, 0, 0]], weights.dtype), normalized=True
+            ),
+        }
+
+
+def skinned_by_two_sets(builder: Builder) -> None:
+    skinned(builder, 2, np.full((4, 4), 0.5, np.float32))
+
+
+def skinned_by_a_mirror(builder: Builder) -> None:
+    """A joint without an inverse bind matrix, and vertices without weights, which follow the first joint."""
+    builder.tree["nodes"] = [{"mesh": 0, "skin": 0, "translation": [9, 9, 9]}, {"scale": [-1, 1, 1]}]
+    builder.tree["scenes"] = [{"nodes": [0, 1]}]
+    builder.tree["skins"] = [{"joints": [1]}]
+    builder.primitive["attributes"] |= {
+        "JOINTS_0": builder.add(np.zeros((4, 4), np.uint16)),
+        "WEIGHTS_0": builder.add(np.zeros((4, 4), np.uint8), normalized=True),
+    }
 
 
 def behind_a_camera(builder: Builder) -> None:
@@ -213,6 +256,7 @@ STRIP = np.array([(0, 0, 1), (0.5, 0, 1), (0, 1, 1), (0.5, 1, 1), (0, 2, 1), (0.
 SHORTS = np.round(CORNERS * [32767, 32767, 32767 / 2]).astype(np.int16)
 LOW = CORNERS * np.float32([1, 1, 0])
 ELSEWHERE = CORNERS + np.float32([[0], [0], [7], [0]])
+TWICE = CORNERS * np.float32(2)
 HALF_DOWN = CORNERS - np.float32([0, 0, 1])
 
 BUILT = {
@@ -232,13 +276,19 @@ BUILT = {
     "compressed_with_a_copy": built(compressed_with_a_copy),
     "draco": built(draco),
     "behind_a_camera": built(behind_a_camera),
+    "skinned": built(skinned, TWICE),
+    "skinned_by_two_sets": built(skinned_by_two_sets, TWICE),
+    "skinned_by_a_mirror": built(skinned_by_a_mirror),
     "instanced": built(instanced),
     "without_scenes": built(without_scenes),
     "needs_textures": built(needs_textures),
 }
 LEFT_OUT = {
     "lines": (built(with_lines), "4 points and 9 lines"),
-    "skinned": (built(skinned), "1 skin"),
+    "skin_missing": (
+        built(skin_missing),
+        "1 skin of figure that cannot be read, so that its size and place are those of its vertices and its node",
+    ),
     "hidden_twin": (built(hidden_twin), "1 hidden mesh"),
     "with_an_extension": (built(with_an_extension), "1 extension ACME_new_triangles"),
     "animated": (built(animated), "1 animation"),

@@ -212,7 +212,9 @@ FILES = {
     "old_mac_ends.obj": one(SQUARE.replace("\n", "\r")),
     "tabs_and_comments.obj": one(SQUARE.replace(" ", "\t").replace("1\n", "1 # here\n")),
     "continued.obj": one(SQUARE.replace("f 1 2 3", "f 1 \\\n2 \\\n3")),
-    "no_materials.obj": one(f"mtllib nowhere/jürgen.mtl\nusemtl red\n{SQUARE}"),
+    "no_materials.obj": one(
+        f"mtllib nowhere/jürgen.mtl\nusemtl red\n{SQUARE}", "1 material file nowhere/jürgen.mtl that cannot be read"
+    ),
     "numbers.obj": one(SQUARE.replace("v 1 1 1", "v +1. 10e-1 0.1E+1")),
     "weights_and_colors.obj": one(SQUARE.replace("v 1 0 1", "v 1 0 1 0.5 0.5 0.5").replace("v 1 1 1", "v 1 1 1 1")),
     "zero_normals.obj": one(f"vn 0 0 0\nvt 0 0\n{SQUARE.replace('f 1 2 3 4', 'f 1/1/1 2/1/1 3/1/1 4/1/1')}"),

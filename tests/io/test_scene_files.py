@@ -1,5 +1,6 @@
 """Scenes from files: what three.js and glTF store, and the message for each thing that can be wrong."""
 
+import base64
 import copy
 import json
 import math
@@ -8,7 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from gltf_scene import TRIANGLE, gltf
+from scipy.spatial.transform import Rotation
 
+from diffshadow.geometry import face_normals
 from diffshadow.io import FileError, MeshWarning, load_mesh, read_scene, write_ply
 from diffshadow.io.scenes._three_geometries import GEOMETRIES, build_geometry
 
@@ -87,6 +90,42 @@ def stored(tmp_path, *children, **changes):
     path = tmp_path / "scene.json"
     path.write_text(json.dumps(content))
     return path
+
+
+def test_a_light_that_shines_at_itself_is_remarked(tmp_path):
+    target = {"uuid": "t", "type": "Object3D", "matrix": SUN["matrix"]}
+    scene = read_scene(stored(tmp_path, MESH, {**SUN, "target": "t"}, target, EYE))
+    assert scene.lights[0].direction == (0, 0, -1)
+    assert any(remark.startswith("sun: its target is where it stands itself") for remark in scene.remarks)
+    scene = read_scene(stored(tmp_path, MESH, {**SUN, "target": "t"}, {**target, "matrix": None}, EYE))
+    assert not any("where it stands" in remark for remark in scene.remarks)
+
+
+def test_normals_of_a_skin_stay_upright_on_its_surface(tmp_path):
+    """A joint that turns and stretches: normals are those of the moved faces."""
+    content = gltf()
+    slant = np.array([(0, 0, 0), (1, 0, 1), (0, 1, 0)], "<f4")
+    normal = np.array([-1, 0, 1]) / math.sqrt(2)
+    data = np.concatenate([slant.reshape(-1), np.tile(normal, 3).astype("<f4"), np.tile([1, 0, 0, 0], 3).astype("<f4")])
+    data = data.tobytes() + bytes(12)
+    content["buffers"] = [{"byteLength": len(data), "uri": "data:;base64," + base64.b64encode(data).decode()}]
+    content["bufferViews"] = [{"buffer": 0, "byteLength": len(data)}]
+    joints = {"bufferView": 0, "byteOffset": 120, "componentType": 5121, "count": 3, "type": "VEC4"}
+    content["accessors"] += [joints, {**joints, "byteOffset": 72, "componentType": 5126}]
+    content["meshes"][0]["primitives"][0]["attributes"] |= {"JOINTS_0": 2, "WEIGHTS_0": 3}
+    content["nodes"][0]["skin"] = 0
+    content["nodes"].append({"rotation": [0, 0.6, 0, 0.8], "scale": [1, -2, 4], "translation": [0, 3, 0]})
+    content["skins"] = [{"joints": [len(content["nodes"]) - 1]}]
+    path = tmp_path / "a.gltf"
+    path.write_text(json.dumps(content))
+    mesh = load_mesh(path, None)
+    turn = Rotation.from_quat([0, 0.6, 0, 0.8])
+    expected = np.array([0, 3, 0]) + turn.apply(slant * [1, -2, 4])
+    order = [np.abs(expected - vertex).sum(axis=1).argmin() for vertex in np.asarray(mesh.vertices)]
+    np.testing.assert_allclose(mesh.vertices, expected[order], atol=1e-6)
+    np.testing.assert_allclose(mesh.corner_normals[0], np.tile(face_normals(mesh), (3, 1)), atol=1e-6)
+    # The mirror turns its face's corners, not its outside.
+    assert np.asarray(mesh.corner_normals)[0, 0] @ turn.apply(normal / [1, -2, 4]) > 0
 
 
 def test_left_out_settings_are_the_engines_defaults(tmp_path):

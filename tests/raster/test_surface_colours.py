@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxtyping import TypeCheckError
 from scenes import quad
 
 from diffshadow.geometry import (
@@ -26,6 +27,7 @@ from diffshadow.raster._surface import surface_at_centres
 RESOLUTION = (24, 32)
 CAMERA = PinholeCamera((0.7, 0.5, 2.2), (0, 0, 0), near=0.5, far=5.0, resolution=RESOLUTION)
 REPEATS = (3.0, 2.0)
+WRAPS = ("repeat", "clamp", "mirror")
 RANDOM = np.random.default_rng(1)
 IMAGE = RANDOM.uniform(0, 1, (5, 8, 4))
 COLOURS = RANDOM.uniform(0, 1, (2, 3, 3))
@@ -57,6 +59,47 @@ def test_a_texture_is_read_between_its_texels_and_repeats():
     mask = np.asarray(surface.mask)
     assert mask.mean() > 0.5
     np.testing.assert_allclose(np.asarray(surface.albedo)[mask], 0.5 * expected[mask], atol=1e-5)
+
+
+def read_by_hand(image, wrap, filter, u, v):
+    """An image at (u, v), texel by texel."""
+
+    def texel(number, size, how):
+        if how == "clamp":
+            return min(max(number, 0), size - 1)
+        number %= 2 * size if how == "mirror" else size
+        return 2 * size - 1 - number if number >= size else number
+
+    height, width = image.shape[:2]
+    at = lambda row, column: image[texel(row, height, wrap[1]), texel(column, width, wrap[0])]
+    x, y = u * width, v * height
+    if filter == "nearest":
+        return at(int(np.floor(y)), int(np.floor(x)))
+    x, y = x - 0.5, y - 0.5
+    column, row = int(np.floor(x)), int(np.floor(y))
+    right, up = x - column, y - row
+    lower = at(row, column) * (1 - right) + at(row, column + 1) * right
+    return lower * (1 - up) + (at(row + 1, column) * (1 - right) + at(row + 1, column + 1) * right) * up
+
+
+SAMPLERS = [((u, v), filter) for u in WRAPS for v in WRAPS for filter in ("linear", "nearest")]
+
+
+def test_textures_repeat_end_and_mirror_along_each_axis_and_have_the_derivatives_of_differences():
+    each = [Textures.of(IMAGE, np.zeros((0, 3, 2)), wrap=wrap, filter=filter) for wrap, filter in SAMPLERS]
+    codes = [(0, 0, 0) if one.samplers is None else np.asarray(one.samplers)[0] for one in each]
+    table = np.tile([[0, *IMAGE.shape[:2]]], (len(SAMPLERS), 1))
+    with jax.enable_x64(True):
+        textures = Textures(np.zeros((0, 3, 2)), np.zeros(0, int), IMAGE.reshape(-1, 4), table, samplers=codes)
+        index = np.repeat(np.arange(len(SAMPLERS)), 40)
+        uv = np.random.default_rng(3).uniform(-2.5, 3.5, (len(index), 2))
+        read = jax.jit(lambda uv: textures.at(jnp.asarray(index), uv))
+        expected = [read_by_hand(IMAGE, *SAMPLERS[i], *at) for i, at in zip(index, uv, strict=True)]
+        np.testing.assert_allclose(read(uv), expected, atol=1e-12)
+        towards, step = np.random.default_rng(4).normal(size=uv.shape), 1e-7
+        slope = jax.jit(lambda uv: jax.jvp(read, (uv,), (towards,))[1])(uv)
+        difference = (read(uv + step * towards) - read(uv - step * towards)) / (2 * step)
+        np.testing.assert_allclose(slope, difference, atol=1e-6)
 
 
 def test_a_mesh_with_colours_is_white_and_one_without_is_light_grey():
@@ -141,6 +184,8 @@ def test_creases_are_where_textures_and_colours_end_and_not_where_they_continue(
     # A second face that is whole repetitions away shows the same.
     assert creases(of(textured(), uv=uv + np.array([[[0, 0]], [[2, -1]]]))) == 0
     assert creases(of(textured(), uv=uv + np.array([[[0, 0]], [[0.25, 0]]]))) == 1
+    # Where the border goes on, a whole repetition away is another place.
+    assert creases(of(textured(), uv=uv + np.array([[[0, 0]], [[2, 0]]]), samplers=[(1, 0, 0)])) == 1
     assert creases(of(textured(), index=np.array([0, NO_TEXTURE]))) == 1
     shared = np.array([[(1, 0, 0), (0, 1, 0), (0, 0, 1)], [(1, 0, 0), (0, 0, 1), (1, 1, 1)]], float)
     assert creases(textured(corner_colours=shared)) == 0
@@ -173,6 +218,10 @@ def test_an_antialiased_picture_has_no_line_where_the_alpha_test_cuts_out_the_ri
         ({"table": [(0, 3, 3)]}, "the textures' table"),
         ({"index": [0, 1]}, "up to 0"),
         ({"uv": np.zeros((1, 3, 2))}, "have shape"),
+        ({"samplers": [(0, 3, 0)]}, "samplers are"),
+        ({"samplers": [(0, 0)]}, "samplers have shape"),
+        ({"corner_alpha": np.full((2, 3), 1.5)}, "the corners' alpha is from 1.5"),
+        ({"corner_alpha": np.ones((1, 3))}, "corner_alpha have shape"),
     ],
 )
 def test_bad_textures_are_refused(given, message):
@@ -182,6 +231,9 @@ def test_bad_textures_are_refused(given, message):
         Textures(**good | given)
     with pytest.raises(ValueError, match="the texture's image has shape"):
         Textures.of(np.ones((2, 2)), good["uv"])
+    for word in ({"wrap": "mirrored"}, {"filter": "bilinear"}):
+        with pytest.raises((ValueError, TypeCheckError), match=next(iter(word.values()))):
+            Textures.of(IMAGE, good["uv"], **word)
 
 
 def test_colours_for_other_faces_are_refused():

@@ -1,13 +1,22 @@
 """Shadows of meshes with an alpha test: by maps, by points and by rays."""
 
+import dataclasses
 import functools
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import LAMP, LIGHTS, SLANTED, fence, fence_over_floor, side_camera
+from scenes import LAMP, LIGHTS, SLANTED, fence, fence_over_floor, floor_camera, marked, quad, side_camera
 
-from diffshadow.geometry import DirectionalLight, OrthographicCamera, PointLight, Scene, merge
+from diffshadow.geometry import (
+    DirectionalLight,
+    OrthographicCamera,
+    PointLight,
+    Scene,
+    SpotLight,
+    Textures,
+    merge,
+)
 from diffshadow.raster import draw_surface
 from diffshadow.reference import key_parts, trace_visibility, trace_visibility_exact
 from diffshadow.shadow import (
@@ -115,3 +124,74 @@ def test_the_key_of_a_reference_has_the_alpha_test_and_no_colours():
     floor, cut = fence_over_floor()
     assert key(floor, cut) != key(floor, fence(0.6)) != key(floor, fence(None))
     assert key(floor, fence(None)) == key(floor, type(cut)(cut.vertices, cut.faces, cut.corner_normals, 0.3))
+    of = lambda **new: dataclasses.replace(cut, textures=dataclasses.replace(cut.textures, **new))
+    others = {"samplers": [(1, 0, 0)]}, {"samplers": [(0, 1, 0)]}, {"corner_alpha": np.full((2, 3), 0.7)}
+    assert len({key(floor, cut), *(key(floor, of(**other)) for other in others)}) == 4
+
+
+# A card over the floor, given by its middle and half of its sides; the rays come from a lamp above.
+MIDDLE, RIGHT, FAR = np.array([(0.05, 0.8, 0.0), (0.5, 0.15, 0.02), (0.0, 0.1, -0.5)])
+ABOVE = np.array([0.2, 3.0, 0.1])
+BELOW = floor_camera(1.2, (48, 48))
+MAPPED, POINTS = ShadowMapping(Nearest(), Bias(constant=3.0), map=MapSettings((256, 256))), IrregularZBuffer()
+# Opaque in the first half of each axis, of four texels; bilinear alpha is 0.2 at 0.575, and at 0.925 of a repetition.
+BARS = np.array([1.0, 1.0, 0.0, 0.0])
+ALONG_U, ALONG_BOTH = np.tile(BARS, (4, 1)), np.outer(BARS, BARS)
+
+
+def mirrored(coordinate):
+    return np.abs(coordinate - 2 * np.round(coordinate / 2))
+
+
+# The image, how it is read, and what casts at texture coordinates (u, v), where corners have alpha `a`.
+READ = {
+    "mirrored and bilinear": (ALONG_U, ("mirror", "repeat"), "linear", lambda u, v, a: mirrored(u) < 0.575),
+    "mirrored along v": (
+        ALONG_BOTH,
+        ("clamp", "mirror"),
+        "nearest",
+        lambda u, v, a: (u < 0.5) & (mirrored(v) < 0.5),
+    ),
+    "repeated and nearest": (ALONG_U, "repeat", "nearest", lambda u, v, a: u % 1 < 0.5),
+    "clamped and bilinear": (ALONG_U, "clamp", "linear", lambda u, v, a: u < 0.575),
+    "alpha of corners": (np.ones((4, 4)), "clamp", "linear", lambda u, v, a: a > 0.2),
+}
+
+
+@pytest.mark.parametrize("name", marked(READ, {"repeated and nearest", "clamped and bilinear"}))
+def test_samplers_and_alpha_of_corners_cut_alike_for_maps_points_and_rays(name):
+    alpha, wrap, filter, casts = READ[name]
+    card = quad(MIDDLE, RIGHT, FAR)
+    faces = np.asarray(card.faces)
+    # From -7 to -4 along u, and from 3 to 6 along v: many repetitions away. From -1 to 2 where the border goes on.
+    near = np.array([each == "clamp" for each in ([wrap] * 2 if isinstance(wrap, str) else wrap)])
+    uv = (np.array([(-7, 3), (-4, 3), (-4, 6), (-7, 6)]) - np.array([-6, 4]) * near)[faces]
+    corners = np.array([0.0, 1.0, 1.0, 0.0] if name == "alpha of corners" else [1.0] * 4)[faces]
+    image = np.concatenate([np.full((4, 4, 3), 0.5), alpha[..., None]], axis=-1)
+    textures = Textures.of(image, uv, 0.2, wrap=wrap, filter=filter, corner_alpha=corners)
+    cut = dataclasses.replace(card, textures=textures)
+    floor = quad((0, 0, 0), (1.5, 0, 0), (0, 0, -1.5))
+    light = SpotLight.around(jnp.asarray(ABOVE), merge([floor, card]).vertices)
+    scene = Scene([floor, cut], BELOW, light)
+    truth = trace_visibility(scene)
+    surface = draw_surface(scene.mesh, BELOW)
+    # Where the ray from each point to the lamp meets the card, along its sides from -1 to 1.
+    towards = ABOVE - truth.position
+    away = MIDDLE - truth.position
+    normal = np.cross(RIGHT, FAR)
+    meets = truth.position + (away @ normal / (towards @ normal))[..., None] * towards - MIDDLE
+    along, up, _ = np.moveaxis(meets @ np.linalg.inv(np.stack([RIGHT, FAR, normal])), -1, 0)
+    low, high = uv.reshape(-1, 2).min(axis=0), uv.reshape(-1, 2).max(axis=0)
+    u, v = (lo + (hi - lo) * (at + 1) / 2 for lo, hi, at in zip(low, high, (along, up), strict=True))
+    expected = (np.abs(along) < 1) & (np.abs(up) < 1) & casts(u, v, (along + 1) / 2)
+    assert 0.05 < expected.mean() < 0.3
+    dark = {
+        "rays": truth.visibility < 0.5,
+        "rays in double precision": trace_visibility_exact(scene).visibility < 0.5,
+        "map": np.asarray(MAPPED.visibility(MAPPED.prepare(scene), surface)) < 0.5,
+        "points": np.asarray(POINTS.visibility(POINTS.prepare(scene), surface)) < 0.5,
+    }
+    wrong = {way: np.mean(found != expected) for way, found in dark.items()}
+    # A map is off by a texel along the borders of bars.
+    assert max(wrong["rays"], wrong["rays in double precision"], wrong["points"]) < 0.001
+    assert wrong["map"] < 0.012

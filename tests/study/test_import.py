@@ -211,6 +211,30 @@ def test_a_scene_that_cannot_be_lit_gets_one_message(tmp_path, capsys, name):
     assert not (tmp_path / "made").exists()
 
 
+def flattened(children):
+    """The boxes of the stage have positions of two numbers, and its other meshes cast no shadows."""
+    for one in children:
+        if one["type"] == "Mesh":
+            one["castShadow"] = False
+    first = next(one for one in children if one["type"] == "Mesh")
+    first |= {"name": "flat", "castShadow": True, "geometry": "flat"}
+
+
+def test_an_error_comes_after_the_notes_and_counts_what_was_left_out(tmp_path, capsys):
+    path = scene_file(tmp_path, flattened)
+    content = json.loads(path.read_text())
+    position = {"itemSize": 2, "type": "Float32Array", "array": [0, 0, 1, 0, 0, 1]}
+    content["geometries"].append(
+        {"uuid": "flat", "type": "BufferGeometry", "data": {"attributes": {"position": position}}}
+    )
+    path.write_text(json.dumps(content))
+    with pytest.raises(SystemExit):
+        main(["import", str(path), "--output", str(tmp_path / "made")])
+    out, error = capsys.readouterr()
+    assert "note: flat: left out, since the file" in " ".join(out.split())
+    assert "(4 without castShadow, and 1 left out); expected one: mend what the notes say of what is left out" in error
+
+
 def test_a_scene_beyond_the_limits_gets_the_same_message_twice_and_leaves_nothing(tmp_path, capsys):
     def huge(children):
         for light in children:

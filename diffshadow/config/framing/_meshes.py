@@ -9,7 +9,7 @@ from jaxtyping import Float
 from ... import geometry, io
 from ..._types import Faces, HostArray
 from ...settings.quantities import FARTHEST
-from ..sections._scene import MeshConfig
+from ..sections._scene import TEXTURE_KEYS, MeshConfig
 
 Triple = tuple[float, float, float]
 
@@ -52,8 +52,8 @@ def place_mesh(config: MeshConfig) -> Placed:
             mesh, albedo = geometry.library_mesh(config.builtin, **config.options), config.albedo
         else:
             crease_angle = config.crease_angle if config.normals == "creases" else None
-            looks = {"albedo": config.albedo, "texture": config.texture, "alpha_cutoff": config.alpha_cutoff}
-            mesh = io.load_mesh(config.path, crease_angle, **looks)
+            looks = {key: getattr(config, key) for key in TEXTURE_KEYS}
+            mesh = io.load_mesh(config.path, crease_angle, albedo=config.albedo, **looks)
             albedo = mesh.albedo
         if config.size is not None:
             mesh = geometry.fit_to_size(mesh, config.size)

@@ -20,6 +20,7 @@ from ...settings.techniques import Mapped
 from .._errors import ConfigError, Mistake, Origin, show
 from ..sections._axes import LABEL
 from ..sections._filters import RandomDiskConfig
+from ..sections._scene import TEXTURE_KEYS
 from ..sections._sweep import SweepConfig
 from ..whole._schema import Config
 from ._axes import levels_of, steps_of, written
@@ -312,7 +313,7 @@ def _id_of(config: Config, settings: SweepConfig) -> str:
         if section.builtin is None:
             mesh["path"] = _content_of(section.path)
         # Without one, as before there were textures.
-        for key in ("texture", "alpha_cutoff"):
+        for key in TEXTURE_KEYS:
             if mesh[key] is None:
                 del mesh[key]
         if section.texture is not None:

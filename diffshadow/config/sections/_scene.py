@@ -14,6 +14,11 @@ from ._section import Conflict, Section, Variants, exclusive, fault, given, valu
 
 BUILTIN = "builtin:"
 """The prefix of paths that name a mesh of the library."""
+_WRAPS = "repeat, clamp or mirror, or a list of two of them, along u and along v"
+
+
+TEXTURE_KEYS = ("texture", "alpha_cutoff", "texture_wrap", "texture_filter")
+"""The keys of a mesh that need a mesh file."""
 
 
 class MeshConfig(Section):
@@ -45,11 +50,22 @@ class MeshConfig(Section):
     texture: str | None = Field(
         default=None,
         min_length=1,
-        description="an image file, in sRGB, relative like path; default: the textures of a GLB or glTF file",
+        description="an image file, in sRGB, relative like path; default: the textures of the mesh file",
     )
     alpha_cutoff: Annotated[
         Annotated[float, Limits(0, 1)] | None,
-        "alpha of the texture below which the mesh is cut out, 0 for none of it; default: as a GLB or glTF file says",
+        "alpha, of the texture times that of a file's vertices, below which the mesh is cut out, 0 for none of it; "
+        "default: as the mesh file says",
+    ] = None
+    texture_wrap: Annotated[
+        Annotated[scene.Wraps, Form(_WRAPS)] | None,
+        "what the texture shows beyond its image: the image again, its border, or its mirror image; default: as the "
+        "mesh file says, or repeat",
+    ] = None
+    texture_filter: Annotated[
+        scene.TexelFilter | None,
+        "what the texture shows between texels: their bilinear mean, or the nearest; default: as the mesh file says, "
+        "or linear",
     ] = None
     casts: Annotated[
         bool, "whether it casts shadows, or only receives them; reference.blockers can let it block rays"
@@ -74,7 +90,7 @@ class MeshConfig(Section):
         if not path.startswith(BUILTIN) and options:
             what = fault("are given with a mesh file", "options with a builtin mesh only", "remove the options")
             yield ("options",), what
-        for key in ("texture", "alpha_cutoff"):
+        for key in TEXTURE_KEYS:
             if path.startswith(BUILTIN) and data.get(key) is not None:
                 yield (key,), fault("is given with a builtin mesh", "a mesh file, which may have UV", f"remove {key}")
         if path.startswith(BUILTIN) and data.get("normals") == "file":

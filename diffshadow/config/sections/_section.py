@@ -83,7 +83,7 @@ class Section(BaseModel, Settings):
         try:
             section = handler(data)
         except ValidationError as error:
-            faults += [_again(details) for details in error.errors(include_url=False)]
+            faults += _merged(cls, data, map(_again, error.errors(include_url=False)))
         else:
             if not faults:
                 found = [*_beyond_single_precision(vars(section).items()), *_too_short(section), *section.faults()]
@@ -163,6 +163,26 @@ def _as_tuple(value: Any, kind: Any, marks: Sequence[Any] = ()) -> Any:
     if kinds[-1] is Ellipsis:
         return tuple(_as_tuple(entry, *bare(kinds[0])) for entry in value)
     return (tuple if len(value) == len(kinds) else list)(value)
+
+
+def _merged(section: type[Section], data: Any, faults: Iterable[InitErrorDetails]) -> Iterator[InitErrorDetails]:
+    """`faults` with one for each value that may have several forms, such as a word or a list of words, in place of
+    one for each form."""
+    seen: set[str | int] = set()
+    for each in faults:
+        key = next(iter(each.get("loc", ())), "")
+        if key not in _of_several_forms(section):
+            yield each
+        elif key not in seen:
+            seen.add(key)
+            # The words of this type of error are never shown.
+            yield InitErrorDetails(type="literal_error", loc=(key,), input=data[key], ctx={"expected": ""})
+
+
+@functools.cache
+def _of_several_forms(section: type[Section]) -> frozenset[str]:
+    """The keys of values that may have several forms."""
+    return frozenset(key for key, field in section.model_fields.items() if is_union(marked(field)[0]))
 
 
 def _again(error: Any) -> InitErrorDetails:

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ValidationError
 
 from ..._types import HostArray
 from .._errors import Faults, damaged
-from .._gltf import HIDDEN_MESH, nodes_of, parts_of
+from .._gltf import CUT_OUT, HIDDEN_MESH, NO_POSITIONS, nodes_of, parts_of
 from .._gltf_data import Buffers, chunks, item
 from .._gltf_materials import BaseColour
 from .._gltf_schema import (
@@ -31,7 +31,6 @@ from .._gltf_schema import (
     Node,
     parse,
 )
-from .._looks import Texture
 from .._text import excerpt
 from ._parts import SceneCamera, SceneFile, SceneLight, SceneMesh, Vector
 
@@ -52,11 +51,12 @@ def read_gltf_scene(data: bytes, folder: Path) -> SceneFile:
     left_out: Counter[str] = Counter()
     faults = Faults()
     materials = _all(Material, document.materials, "materials")
-    meshes = []
+    meshes, empty = [], 0
     for part in parts_of(document, Buffers(document, binary, folder), left_out, faults):
         name = _mesh_name(part.node, document)
         if not len(part.faces):
             remarks.append(f"{name}: it has no triangles; left out")
+            empty += 1
             continue
         number = part.primitive.material
         material = Material() if number is None else item(materials, number, "material")
@@ -64,17 +64,18 @@ def read_gltf_scene(data: bytes, folder: Path) -> SceneFile:
         emits = any(material.emissive_factor) or UNLIT in material.extensions
         mesh = SceneMesh(name, part.vertices, part.faces, part.normals, side, emits=emits, **_look(part.look))
         meshes.append(mesh._replace(**_shadows(part.node)))
-        has = part.normals is not None, part.look.picture is not None
+        has = part.normals is not None, part.look.texture is not None
         remarks += [f"{name}: {remark}" for remark in _remarks(material, *has)]
     fault = faults.error()
     if fault is not None and not meshes:
         raise fault
+    lost = sum(left_out[name] for name in (HIDDEN_MESH, NO_POSITIONS, CUT_OUT)) + empty + faults.count
     # Named one by one below.
     del left_out[HIDDEN_MESH]
     remarks += faults.remarks()
     remarks += [f"{count} × {name}: left out" for name, count in left_out.items() if count]
     cameras, lights = _placed(document, remarks)
-    return SceneFile(meshes, cameras, lights, None, list(dict.fromkeys(remarks)))
+    return SceneFile(meshes, cameras, lights, None, list(dict.fromkeys(remarks)), lost)
 
 
 def _mesh_name(node: Node, document: Document) -> str:
@@ -93,8 +94,10 @@ def _look(look: BaseColour) -> dict[str, Any]:
     found: dict[str, Any] = {"colours": look.colours}
     if look.factor is not None:
         found["colour"] = _vector(look.factor)
-    if look.picture is not None:
-        found |= {"uv": look.uv, "texture": Texture(look.picture, look.cutoff)}
+    texture = look.texture
+    if texture is not None:
+        found |= {"texture": texture, "alpha": None if texture.cutoff is None else look.alpha}
+        found |= {} if texture.picture is None else {"uv": look.uv}
     return found
 
 
@@ -117,7 +120,7 @@ def _placed(document: Document, remarks: list[str]) -> tuple[list[SceneCamera], 
     seen: list[SceneCamera] = []
     beside: list[SceneCamera] = []
     lit: list[SceneLight] = []
-    for node, to_world, is_visible in nodes_of(document):
+    for node, _, to_world, is_visible in nodes_of(document):
         hidden = []
         if node.mesh is not None and not is_visible:
             hidden.append(_mesh_name(node, document))

@@ -24,6 +24,7 @@ class SceneMesh(NamedTuple):
     - `emits`: whether its material shines, or is drawn as if it did.
     - `colours`: (v, 3), linear, of the vertices; none if they have none.
     - `uv`, `texture`: (v, 2), texture coordinates, and the texture that `colour` is multiplied by; or none.
+    - `alpha`: (v,), of the vertices, which the texture's alpha test multiplies by its alpha; none if all are 1.
     """
 
     name: str
@@ -40,6 +41,7 @@ class SceneMesh(NamedTuple):
     colours: Float[HostArray, "v 3"] | None = None
     uv: Float[HostArray, "v 2"] | None = None
     texture: Texture | None = None
+    alpha: Float[HostArray, " v"] | None = None
 
 
 class SceneCamera(NamedTuple):
@@ -118,6 +120,7 @@ class SceneFile(NamedTuple):
     - `meshes`, `cameras`, `lights`: in the order of the file.
     - `engine`: the engine that the settings are of.
     - `remarks`: what was left out or taken otherwise than it is, each a sentence without a full stop.
+    - `left_out`: how many meshes, or parts of meshes, were left out; `remarks` say why.
     """
 
     meshes: list[SceneMesh]
@@ -125,3 +128,4 @@ class SceneFile(NamedTuple):
     lights: list[SceneLight]
     engine: Literal["three.js"] | None
     remarks: list[str]
+    left_out: int = 0

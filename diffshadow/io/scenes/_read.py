@@ -3,15 +3,18 @@
 import json
 import os
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
-from ...geometry import up_of, y_up
+from ..._types import HostArray
+from ...geometry import NO_TEXTURE, Mesh, up_of, y_up
 from ...settings.scene import GLTF_SUFFIXES, MESH_SUFFIXES, NO_MESH_SUFFIXES
 from .._errors import FileError, MeshError, MeshWarning
+from .._looks import Picture, Texture, levels_of
 from .._meshes import load_mesh
 from .._paths import existing_file
 from .._text import decode
@@ -72,10 +75,34 @@ def _of_mesh(file: Path) -> SceneFile:
     if up_of(corners, False) == "z":
         remarks.append("z is taken as up, since the mesh lies flat across z; it is turned so that y is")
         corners, normals = y_up(corners), y_up(normals)
-    parts = SceneMesh(file.stem, corners.reshape(-1, 3), np.arange(faces.size).reshape(-1, 3), normals.reshape(-1, 3))
-    if mesh.corner_colours is not None:
-        parts = parts._replace(colours=np.asarray(mesh.corner_colours, np.float64).reshape(-1, 3))
-    return SceneFile([parts], [], [], None, remarks)
+    return SceneFile([*_by_texture(file.stem, mesh, corners, normals)], [], [], None, remarks)
+
+
+def _by_texture(
+    name: str, mesh: Mesh, corners: Float[HostArray, "f 3 3"], normals: Float[HostArray, "f 3 3"]
+) -> Iterator[SceneMesh]:
+    """The faces of each texture of a mesh file, and of none, as a mesh of their own."""
+    textures, albedo = mesh.textures, np.asarray(mesh.albedo, np.float64)
+    index = np.full(len(corners), NO_TEXTURE) if textures is None else np.asarray(textures.index)
+    numbers = np.unique(index).tolist()
+    for count, number in enumerate(numbers, start=1):
+        of = np.flatnonzero(index == number)
+        rows = lambda values, of=of: np.asarray(values, np.float64)[of].reshape(-1, np.shape(values)[-1])
+        faces = np.arange(3 * len(of)).reshape(-1, 3)
+        part = SceneMesh(name if len(numbers) == 1 else f"{name} {count}", rows(corners), faces, rows(normals))
+        if mesh.corner_colours is not None:
+            part = part._replace(colours=rows(mesh.corner_colours))
+        elif (albedo[of] == albedo[of[0]]).all():
+            red, green, blue = albedo[of[0]].tolist()
+            part = part._replace(colour=(red, green, blue))
+        else:
+            part = part._replace(colours=np.repeat(albedo[of], 3, axis=0), colour=(1.0, 1.0, 1.0))
+        if textures is not None and number >= 0:
+            cutoff = 0.0 if textures.cutoff is None else float(textures.cutoff[number])
+            picture = Picture(levels_of(textures.images()[number]))
+            texture = Texture(picture, cutoff or None, textures.each_sampler()[number])
+            part = part._replace(texture=texture, uv=rows(textures.uv))
+        yield part
 
 
 def _content(data: bytes) -> Mapping[str, Any]:

@@ -70,6 +70,7 @@ def read_three(content: Mapping[str, Any]) -> SceneFile:
     drawn = [_Placed(entry.object, entry.to_world) for entry, visible in everything if visible]
     unseen = [entry for entry, visible in everything if not visible]
     hidden = [entry.name for entry in unseen if entry.object.type in (*_MESHES, *_LIGHTS)]
+    lost = sum(entry.object.type in _MESHES for entry in unseen)
     if hidden:
         remarks.append(f"{some_of(hidden)}: visible = false, here or in a group around; left out")
     others = Counter(_OTHERS[entry.object.type] for entry in drawn if entry.object.type in _OTHERS)
@@ -78,7 +79,8 @@ def read_three(content: Mapping[str, Any]) -> SceneFile:
     cameras = [_camera(entry, remarks) for entry, _ in everything if entry.object.type in _CAMERAS]
     positions = {entry.object.uuid: entry.position for entry, _ in everything if entry.object.uuid}
     lights = [_light(entry, positions, remarks) for entry in drawn if entry.object.type in _LIGHTS]
-    return SceneFile(_meshes(document, drawn, remarks), cameras, lights, "three.js", remarks)
+    meshes, unread = _meshes(document, drawn, remarks)
+    return SceneFile(meshes, cameras, lights, "three.js", remarks, lost + unread)
 
 
 def _walk(entry: Object, parent: Float[HostArray, "4 4"], visible: bool) -> Iterator[tuple[_Placed, bool]]:
@@ -120,8 +122,8 @@ def _is_moved(entry: _Placed) -> bool:
     return not (np.array_equal(own[:3, :3], np.eye(3)) and own[0, 3] == own[2, 3] == 0 and own[1, 3] in (0, 1))
 
 
-def _meshes(document: Document, drawn: list[_Placed], remarks: list[str]) -> list[SceneMesh]:
-    """The meshes that are drawn. Unreadable ones are left out.
+def _meshes(document: Document, drawn: list[_Placed], remarks: list[str]) -> tuple[list[SceneMesh], int]:
+    """The meshes that are drawn, and how many parts of such are left out: unreadable and invisible ones.
 
     **Raises** `MeshError` if all that there are cannot be read.
     """
@@ -130,6 +132,7 @@ def _meshes(document: Document, drawn: list[_Placed], remarks: list[str]) -> lis
     built: dict[str, Geometry] = {}
     faults = Faults()
     meshes: list[SceneMesh] = []
+    found = 0
     for entry in drawn:
         if entry.object.type not in _MESHES:
             continue
@@ -144,6 +147,7 @@ def _meshes(document: Document, drawn: list[_Placed], remarks: list[str]) -> lis
         of_mesh = stored[entry.object.geometry or ""]
         remarks += _half_floats(entry.name, of_mesh) if is_new else []
         _remark_geometry(entry, of_mesh, geometry, remarks)
+        found += len(parts)
         for (name, _, material), whole in zip(parts, placed, strict=True):
             if not material.visible:
                 remarks.append(f"{name}: its material is not visible; left out")
@@ -158,7 +162,7 @@ def _meshes(document: Document, drawn: list[_Placed], remarks: list[str]) -> lis
     if fault is not None and not meshes:
         raise fault
     remarks += faults.remarks()
-    return meshes
+    return meshes, faults.count + found - len(meshes)
 
 
 def _geometry(entry: _Placed, stored: Mapping[str, GeometryEntry], built: dict[str, Geometry]) -> Geometry:
@@ -298,6 +302,10 @@ def _light(entry: _Placed, positions: Mapping[str, Vector], remarks: list[str]) 
         if not any(direction):
             # As the engine looks from a place to itself.
             direction = (0.0, 0.0, -1.0)
+            remarks.append(
+                f"{entry.name}: its target is where it stands itself, which is no direction; (0, 0, -1) is taken, as "
+                "by its shadow camera in three.js"
+            )
     inner = outer = None
     if kind == "spot":
         outer = math.degrees(object.angle)

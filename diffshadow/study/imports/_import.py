@@ -68,6 +68,28 @@ def import_scene(
     remarks = list(scene.remarks)
     if camera is not None and Path(camera).is_file():
         scene, camera = scene._replace(cameras=io.read_scene(camera).cameras), None
+    try:
+        chosen = _converted(scene, file, written, camera, light, technique, shadow_type, remarks)
+    except ValueError:
+        # What was left out may be why.
+        table.print_lines(console, [f"note: {line}" for line in remarks])
+        raise
+    _say(console, chosen, remarks)
+    return written
+
+
+def _converted(
+    scene: io.SceneFile,
+    file: Path,
+    written: Path,
+    camera: str | None,
+    light: str | None,
+    technique: ImportedTechnique,
+    shadow_type: ShadowType,
+    remarks: list[str],
+) -> Chosen:
+    """Writes what `import_scene` writes. **Returns** the parts that it is made of. Adds to `remarks`."""
+    folder = written.parent
     scene = completed(scene, camera, light, remarks)
     chosen = choose(scene, camera, light, remarks)
     if scene.engine is None:
@@ -82,7 +104,7 @@ def import_scene(
         remarks.append("the file has no settings of shadows: bias, radius, map size and sides are three.js' defaults")
     if technique == "three.js":
         remarks.append(f"renderer.shadowMap.type is not in the file; {shadow_type} is taken (--shadow-type)")
-    text = _text({"name": name, **settings}, file.name)
+    text = _text({"name": written.stem, **settings}, file.name)
     _check(text, file, folder)
     near = [
         mesh._replace(vertices=mesh.vertices - np.asarray(origin))
@@ -91,11 +113,10 @@ def import_scene(
     pictures = {
         name: mesh.texture.picture
         for name, mesh in zip(textures, chosen.meshes, strict=True)
-        if name is not None and mesh.texture is not None
+        if name is not None and mesh.texture is not None and mesh.texture.picture is not None
     }
     _write(folder, written.name, text, dict(zip(files, near, strict=True)), pictures)
-    _say(console, chosen, remarks)
-    return written
+    return chosen
 
 
 def _with_lamp(chosen: Chosen, remarks: list[str]) -> Chosen:
@@ -131,7 +152,7 @@ def _write(
     try:
         (draft / _MESHES).mkdir(parents=True)
         for of, mesh in meshes.items():
-            io.write_ply(draft / of, mesh.vertices, mesh.faces, mesh.normals, mesh.colours, mesh.uv)
+            io.write_ply(draft / of, mesh.vertices, mesh.faces, mesh.normals, mesh.colours, mesh.uv, mesh.alpha)
         for of, picture in pictures.items():
             (draft / of).write_bytes(io.png_of(picture.levels))
         (draft / name).write_text(text, encoding="utf-8")
@@ -162,12 +183,12 @@ def _file_names(chosen: Chosen) -> list[str]:
 
 
 def _texture_names(chosen: Chosen, files: Sequence[str]) -> list[str | None]:
-    """A file for each mesh's texture, named like the first mesh that has it; none for a mesh without one."""
+    """A file for each mesh's picture, named like the first mesh that has it; none for a mesh without one."""
     names: dict[int, str] = {}
-    textures = [mesh.texture for mesh in chosen.meshes]
+    pictures = [None if mesh.texture is None else mesh.texture.picture for mesh in chosen.meshes]
     return [
-        None if texture is None else names.setdefault(id(texture.picture), file.removesuffix(".ply") + ".png")
-        for texture, file in zip(textures, files, strict=True)
+        None if picture is None else names.setdefault(id(picture), file.removesuffix(".ply") + ".png")
+        for picture, file in zip(pictures, files, strict=True)
     ]
 
 

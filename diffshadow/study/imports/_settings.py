@@ -73,7 +73,11 @@ def check_casters(scene: io.SceneFile, meshes: Sequence[io.SceneMesh]) -> None:
     if not any(mesh.casts for mesh in meshes):
         remedies = _GLTF if scene.engine is None else _THREE_JS
         found = f"{len(meshes)} without castShadow" if meshes else "no triangles that its camera sees"
-        raise ValueError(f"the scene has no mesh that casts shadows ({found}); expected one: {remedies.mesh}")
+        mend = remedies.mesh
+        if scene.left_out:
+            found += f", and {scene.left_out} left out"
+            mend = f"mend what the notes say of what is left out, or {mend}"
+        raise ValueError(f"the scene has no mesh that casts shadows ({found}); expected one: {mend}")
 
 
 def _named[T: (io.SceneCamera, io.SceneLight)](
@@ -154,11 +158,18 @@ def _mesh(mesh: io.SceneMesh, file: str, texture: str | None, origin: geometry.O
     if mesh.normals is None:
         settings["crease_angle"] = 0
     settings["albedo"] = _rounded(mesh.colour, 4)
-    if texture is not None and mesh.texture is not None:
-        settings["texture"] = texture
+    if mesh.texture is not None:
+        settings |= {} if texture is None else {"texture": texture, **_sampler(mesh.texture.sampler)}
         if mesh.texture.cutoff is not None:
-            settings["alpha_cutoff"] = _rounded([min(mesh.texture.cutoff, 1.0)], 4)[0]
+            settings["alpha_cutoff"] = _rounded([mesh.texture.cutoff])[0]
     return settings | ({} if mesh.casts else {"casts": False}) | ({} if mesh.receives else {"receives": False})
+
+
+def _sampler(sampler: geometry.Sampler) -> dict[str, Any]:
+    """The keys of a texture that is read otherwise than by default."""
+    default = geometry.Sampler()
+    wrap = {"texture_wrap": _each([*sampler.wrap])} if sampler.wrap != default.wrap else {}
+    return wrap | ({"texture_filter": sampler.filter} if sampler.filter != default.filter else {})
 
 
 def _camera(camera: io.SceneCamera, middle: Any, diagonal: float, remarks: list[str]) -> dict[str, Any]:
