@@ -238,7 +238,7 @@ def _remark_geometry(entry: _Placed, stored: GeometryEntry, geometry: Geometry, 
     name = entry.name
     has_morphs = stored.data is not None and bool(stored.data.morph_attributes)
     if entry.object.type == "SkinnedMesh":
-        remarks.append(f"{name}: its skin is left out; the mesh is as it was modelled")
+        remarks.append(f"{name}: its skin is left out; its size and place are those of its vertices")
     if has_morphs and any(entry.object.morph_target_influences):
         remarks.append(f"{name}: its morph targets are left out; the mesh is its base")
     if geometry.normals is None:
