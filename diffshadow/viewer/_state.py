@@ -11,6 +11,8 @@ View = Literal[
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Point = tuple[Finite, Finite, Finite]
+# Keys have fewer characters.
+Name = Annotated[str, Field(max_length=256)]
 
 
 class _Message(BaseModel):
@@ -34,11 +36,11 @@ class State(_Message):
     - `fitted`: the names of the numbers that a fit finds; none for the configuration's own.
     """
 
-    scene: str | None = None
-    structure: dict[str, JsonValue] = Field(default={}, max_length=64)
-    numbers: dict[str, Finite] = Field(default={}, max_length=1024)
+    scene: Name | None = None
+    structure: dict[Name, JsonValue] = Field(default={}, max_length=64)
+    numbers: dict[Name, Finite] = Field(default={}, max_length=1024)
     camera: Camera | None = None
-    fitted: tuple[str, ...] | None = None
+    fitted: Annotated[tuple[Name, ...], Field(max_length=1024)] | None = None
 
 
 class Look(_Message):
