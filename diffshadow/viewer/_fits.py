@@ -8,6 +8,7 @@ from rich.console import Console
 
 from .. import fit, study
 from ..config import Config, ConfigError
+from ._threads import start
 
 # Digits of values that a page shows.
 _DIGITS = 8
@@ -41,8 +42,7 @@ class Fit:
         self._stopping.clear()
         self.state = {"running": True, "number": self._number, "steps": [], "values": {}, "note": "drawing"}
         self.changed(self.state)
-        self._thread = threading.Thread(target=self._run, args=(config,), daemon=True, name="fitting")
-        self._thread.start()
+        self._thread = start(lambda: self._run(config), self.stop, "fitting")
         return self._number
 
     def stop(self) -> None:

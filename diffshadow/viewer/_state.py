@@ -10,9 +10,11 @@ View = Literal[
 """What a picture shows."""
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-Point = tuple[Finite, Finite, Finite]
+# As far as a camera may be, in world units.
+Coordinate = Annotated[float, Field(ge=-1e9, le=1e9)]
+Point = tuple[Coordinate, Coordinate, Coordinate]
 # Keys have fewer characters.
-Name = Annotated[str, Field(max_length=256)]
+Name = Annotated[str, Field(min_length=1, max_length=256)]
 
 
 class _Message(BaseModel):
@@ -24,7 +26,7 @@ class Camera(_Message):
 
     eye: Point
     target: Point
-    height: Finite | None = None
+    height: Coordinate | None = None
 
 
 class State(_Message):

@@ -10,6 +10,7 @@ from .. import reference, study
 from ..geometry import Scene
 from ..reference import Reference
 from ._fits import reason_of
+from ._threads import start
 
 # Rays per pixel of the first picture, and by how much each next one has more.
 _FIRST, _FACTOR = 4, 4
@@ -74,8 +75,7 @@ class Tracer:
                 return
             self._asked[page] = Asked(key, scene, how)
             if self._thread is None:
-                self._thread = threading.Thread(target=self._run, daemon=True, name="tracing")
-                self._thread.start()
+                self._thread = start(self._run, self.close, "tracing")
 
     def rest(self, page: Hashable) -> None:
         """Stops: `page` no longer shows what it asked for."""

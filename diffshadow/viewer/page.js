@@ -34,7 +34,7 @@ function hear(message) {
   if ("note" in message) say("note", message.note);
   if ("controls" in message) build(message.controls);
   if ("saved" in message) saved(message.saved);
-  if ("started" in message) { ownFit = message.started; fittedOf = structure(); }
+  if (message.started) { ownFit = message.started; fittedOf = structure(); }
   if ("code" in message) copy(message.code, "Copied the code");
   if ("fit" in message) followFit(message.fit);
 }
@@ -83,13 +83,14 @@ function change(edit) {
   edit(look.state);
   ask();
   clearTimeout(pause);
-  pause = setTimeout(settle, PAUSE);
+  pause = setTimeout(() => settle(), PAUSE);
   mark();
 }
 
-function settle() {
+// A fit is one step: it is settled when it ends.
+function settle(evenInFit = false) {
   const now = JSON.stringify(look);
-  if (now === settled) return;
+  if (now === settled || (isFitting && !evenInFit)) return;
   done.push(settled);
   settled = now;
   $("undo").disabled = false;
@@ -327,7 +328,7 @@ function aim(event) {
 
 // --- Fits ---
 
-let curve = [], shownFit = 0, ownFit = null, fittedOf = "";
+let curve = [], shownFit = 0, ownFit = null, fittedOf = "", isFitting = false;
 
 // What a fit's values belong to.
 const structure = () => JSON.stringify([look.state.scene, look.state.structure]);
@@ -345,6 +346,11 @@ function showFit(news) {
     curve = [...news.steps ?? []];
   }
   if (news.step) curve.push(news.step);
+  isFitting = news.running && news.number === ownFit;
+  if (!isFitting) {
+    clearTimeout(pause);
+    pause = setTimeout(() => settle(), PAUSE);
+  }
   $("take").hidden = !news.done || (news.number === ownFit && fittedOf === structure());
   if (news.done) $("take").onclick = () => take(news.values);
   $("fit").disabled = news.running;
@@ -399,7 +405,7 @@ $("stop").onclick = () => send({ stop: true });
 $("save").onclick = () => { saved.wants = "file"; send({ save: look.state }); };
 $("command").onclick = () => { saved.wants = "command"; send({ save: look.state }); };
 $("code").onclick = () => send({ code: look });
-$("share").onclick = () => { settle(); copy(location.href, "Copied the link"); };
+$("share").onclick = () => { settle(true); copy(location.href, "Copied the link"); };
 $("undo").onclick = undo;
 $("reset").onclick = () => { change((state) => Object.assign(state, blank(), { scene: state.scene })); settle(); refresh(); };
 $("view").onchange = () => { look.view = $("view").value; change(() => {}); };
