@@ -295,7 +295,7 @@ def _message_of(text: str | bytes) -> Message:
     if len(text) > _MAX_MESSAGE:
         raise ValueError(f"the message has {len(text):,} characters; expected at most {_MAX_MESSAGE:,}; send less")
     try:
-        asked = Message.model_validate_json(text)
+        asked = Message.model_validate_json(text, strict=True)
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False)[0]
         where, what = ".".join(map(str, first["loc"])), first["msg"]

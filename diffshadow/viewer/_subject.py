@@ -149,7 +149,8 @@ class Subject:
         return parse_config(dump_resolved(whole), overrides, source="the page's settings", fitting=fitting)
 
     def _has(self, name: str) -> bool:
-        return name in self.sliders or name in self.config.fit.parameters
+        of_scene = name.startswith("scene.") and name in self.config.fit.parameters
+        return name in self.sliders or of_scene
 
     def _bounds(self, config: Config, name: str) -> dict[str, float]:
         """The bounds of a fit of the number `name`. A technique's starts at its value."""

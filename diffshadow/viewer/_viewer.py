@@ -213,10 +213,10 @@ def settings_of(state: State, given: Config, now: Config) -> dict[str, Any]:
     **Arguments:** the configuration as it was `given`, and as it is `now`.
     """
     settings: dict[str, Any] = dict(state.structure)
-    for name, value in state.numbers.items():
+    for name in state.numbers:
         key, _, entry = name.rpartition(".")
         # A list that the file does not have is set as a whole.
-        settings |= {key: list(value_at(now, key))} if entry.isdigit() else {name: value}
+        settings |= {key: list(value_at(now, key))} if entry.isdigit() else {name: value_at(now, name)}
     for key in (".".join(map(str, ("scene", *each))) for each in given.scene.each_light):
         moved = any(name.startswith(f"{key}.") for name in state.numbers)
         if moved and getattr(value_at(given, key), "direction", None) is not None:
