@@ -171,9 +171,10 @@ def test_a_page_at_rest_gets_its_reference_while_another_is_dragged():
 
 def test_a_page_at_rest_gets_each_reference_once_and_then_nothing(monkeypatch, tmp_path):
     monkeypatch.setenv("DIFFSHADOW_CACHE", str(tmp_path))
-    trace = _trace.reference.trace_visibility
+    asked, trace = [], _trace.reference.trace_visibility
 
     def tracing(scene, **how):
+        asked.append(how["samples"])
         # So long that the picture with the rays before is shown meanwhile, as at real sizes.
         time.sleep(0.4)
         how["progress"](0.5)
@@ -197,9 +198,9 @@ def test_a_page_at_rest_gets_each_reference_once_and_then_nothing(monkeypatch, t
         calls = server.viewer.stages.visibility.calls
         assert await page.is_silent(0.8)
         assert server.viewer.stages.visibility.calls == calls
-        assert server.viewer.tracer._thread is None
+        assert asked == [4, 16]
 
-    talking(script, TINY.replace("samples: 16", "samples: 16, sampler: sobol"))
+    talking(script)
 
 
 @pytest.mark.parametrize(
