@@ -198,7 +198,7 @@ function number(slider, prefix) {
   range.oninput = () => put(Number(Number(range.value).toPrecision(6)));
   field.onchange = () => put(Math.min(Math.max(Number(field.value), slider.low), slider.high));
   again.onclick = () => put(slider.value);
-  if (slider.is_fittable) {
+  if (slider.is_fittable || controls.fitted.includes(slider.key)) {
     const box = element("input", "", { type: "checkbox", checked: fitted().includes(slider.key), title: "whether a fit finds it" });
     box.setAttribute("aria-label", `Fit ${slider.key}`);
     box.onchange = () => change((state) => {

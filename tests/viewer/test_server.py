@@ -382,7 +382,7 @@ def test_a_page_that_does_not_open_leaves_nothing_behind(tmp_path, monkeypatch):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("left", ["", "page.close()", "server.viewer.start_fit(State())"])
+@pytest.mark.parametrize("left", ["", "server.viewer.start_fit(State())"])
 def test_python_ends_with_a_page_that_is_open(tmp_path, left):
     (tmp_path / "tiny.yaml").write_text(TINY)
     script = f"""
