@@ -17,6 +17,7 @@ from .reading._dump import fit_units as fit_units
 from .reading._files import input_files as input_files
 from .reading._files import user_modules as user_modules
 from .reading._init import write_template as write_template
+from .reading._keys import is_key as is_key
 from .reading._load import load_config, parse_config
 from .reading._numbers import Choice as Choice
 from .reading._numbers import Number as Number
@@ -42,6 +43,7 @@ from .sections._sweep import FLICKER as FLICKER
 from .sections._sweep import LIMIT_ERROR as LIMIT_ERROR
 from .sections._sweep import PlotConfig as PlotConfig
 from .sections._sweep import SweepConfig as SweepConfig
+from .whole._preferences import preferences as preferences
 from .whole._schema import Config, FitView
 
 __all__ = [

@@ -11,6 +11,7 @@ _FACTOR = 4.0
 _HALF_TURN = 180.0
 # Significant digits of a slider's ends.
 _DIGITS = 3
+_ROUNDING = 1e-5
 
 
 class Slider(NamedTuple):
@@ -23,6 +24,11 @@ class Slider(NamedTuple):
     unit: str
     hint: str
     is_fittable: bool
+
+    def holds(self, value: float) -> bool:
+        """Whether `value` is between its ends, but for the rounding of pages to six digits."""
+        slack = _ROUNDING * max(abs(self.low), abs(self.high))
+        return self.low - slack <= value <= self.high + slack
 
     def reaching(self, low: float, high: float) -> "Slider":
         """The slider with ends at least so far out."""

@@ -8,6 +8,7 @@ from rich.console import Console
 
 from .. import fit, study
 from ..config import Config, ConfigError
+from ._threads import start
 
 # Digits of values that a page shows.
 _DIGITS = 8
@@ -30,28 +31,34 @@ class Fit:
         self.changed = changed
         self.state: dict[str, Any] = {"running": False}
         self._stopping = threading.Event()
+        self._thread: threading.Thread | None = None
         self._number = 0
 
-    def start(self, config: Config) -> None:
-        """Starts a fit of `config`, unless one is running."""
+    def start(self, config: Config) -> int | None:
+        """Starts a fit of `config`, unless one is running. **Returns** its number."""
         if self.state["running"]:
-            return
+            return None
         self._number += 1
         self._stopping.clear()
         self.state = {"running": True, "number": self._number, "steps": [], "values": {}, "note": "drawing"}
         self.changed(self.state)
-        threading.Thread(target=self._run, args=(config,), daemon=True, name="fitting").start()
+        self._thread = start(lambda: self._run(config), self.stop, "fitting")
+        return self._number
 
     def stop(self) -> None:
         """Stops the fit after its present step."""
         self._stopping.set()
 
+    def join(self) -> None:
+        """Waits until no fit is running."""
+        if self._thread is not None:
+            self._thread.join()
+
     def _run(self, config: Config) -> None:
-        stages, names = _Stages(self._note), list(config.fit.parameters)
+        stages, names = _Stages(self), list(config.fit.parameters)
 
         def on_step(step: fit.Step) -> None:
-            if self._stopping.is_set():
-                raise _StoppedError
+            self.go_on()
             values = {name: round(value, _DIGITS) for name, value in zip(names, step.values, strict=True)}
             self._tell(step={"phase": step.phase, "error": max(step.loss, 0.0) ** 0.5}, values=values)
 
@@ -65,9 +72,13 @@ class Fit:
             values = {name: float(f"{value:.{_DIGITS}g}") for name, value in run.result.fitted.items()}
             self._tell(running=False, note=run.verdict.sentence, values=values, done=True)
 
-    def _note(self, text: str) -> None:
+    def go_on(self) -> None:
+        """**Raises** an error that ends the fit if it is to stop."""
         if self._stopping.is_set():
             raise _StoppedError
+
+    def note(self, text: str) -> None:
+        """Says what the fit does."""
         self._tell(note=text)
 
     def _tell(self, step: dict[str, Any] | None = None, **news: Any) -> None:
@@ -84,13 +95,14 @@ class _StoppedError(Exception):
 class _Stages(study.Stages):
     """Stages of a fit, whose names are also shown on the page."""
 
-    def __init__(self, note: Callable[[str], None]):
+    def __init__(self, fit: Fit):
         super().__init__(Console(quiet=True))
-        self._note, self._shown = note, ""
+        self._fit, self._shown = fit, ""
 
     def show(self, name: str, detail: str = "", done: float | None = None) -> None:
+        self._fit.go_on()
         super().show(name, detail, done)
         # Steps have news of their own.
         if name != self._shown:
             self._shown = name
-            self._note(name)
+            self._fit.note(name)

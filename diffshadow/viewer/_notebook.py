@@ -1,11 +1,14 @@
 """The page beside a notebook or a script: served from a thread of its own."""
 
 import asyncio
+import atexit
+import contextlib
 import html
 import json
 import os
 import tempfile
 import threading
+from concurrent.futures import Future, wait
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +19,7 @@ from .._checks import check_instance
 from ..config import Config, load_config, settings_file
 from ..fit import PoseProblem, TechniqueProblem
 from ..geometry import Scene
-from ._server import Server
+from ._server import Server, serve
 from ._state import State
 
 _HEIGHT = 640
@@ -25,15 +28,24 @@ _HEIGHT = 640
 class OpenPage:
     """A page that is open. A notebook shows it where this is the last value of a cell.
 
+    It is open until `close`, the end of its `with` statement, or the end of Python.
+
     - `address`: of the page, for any browser of this machine.
     """
 
-    def __init__(self, config: Config, name: str, port: int):
-        self._loop = asyncio.new_event_loop()
-        made: Any = asyncio.run_coroutine_threadsafe(_started(config, name, port), self._loop)
-        threading.Thread(target=self._loop.run_forever, daemon=True, name="page").start()
-        self._server: Server = made.result()
+    def __init__(self, config: Config, name: str, port: int, files: contextlib.ExitStack):
+        started: Future[Server] = Future()
+        self._thread = threading.Thread(target=_serve, args=(config, name, port, started), daemon=True, name="page")
+        self._thread.start()
+        self._server: Server | None = started.result()
         self.address = self._server.address
+        # What is closed with it.
+        self._files = files.pop_all()
+        # What stays when it is closed.
+        self._last = State()
+        self._left: Future[Config] | None = None
+        self._closing = threading.Lock()
+        atexit.register(self.close)
 
     @property
     def values(self) -> dict[str, float]:
@@ -42,23 +54,51 @@ class OpenPage:
 
     @property
     def config(self) -> Config:
-        """The configuration as the page was left: a render of it draws the same."""
-        viewer, state = self._server.viewer, self._state
-        # In the thread that draws, like all that a viewer does.
-        return self._server.drawing.submit(lambda: viewer.subject(state).saved(state)).result()
+        """The configuration as the page was left: a render of it draws the same. That of a `Scene` needs files that
+        are removed when the page is closed."""
+        return (self._left or self._read(self._server)).result()
 
     def close(self) -> None:
-        """Ends the page. Its values stay."""
-        self._loop.call_soon_threadsafe(self._server.stop)
+        """Ends the page, and frees all that it holds; its `values` and its `config` stay.
+
+        What it draws, traces and fits is stopped after its present step, which this waits for."""
+        with self._closing:
+            server = self._server
+            if server is None:
+                return
+            self._last = self._state
+            # At the end of Python, nothing new can be computed.
+            with contextlib.suppress(RuntimeError):
+                self._left = self._read(server)
+                wait([self._left])
+            with contextlib.suppress(RuntimeError):
+                server.loop.call_soon_threadsafe(server.ended.set)
+            self._thread.join()
+            self._files.close()
+            self._server = None
+        atexit.unregister(self.close)
+
+    def __enter__(self) -> "OpenPage":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     @property
     def _state(self) -> State:
-        return self._server.last or State()
+        return self._last if self._server is None else self._server.last or self._last
+
+    def _read(self, server: Any) -> Future[Config]:
+        viewer, state = server.viewer, self._state
+        # In the thread that draws, like all that a viewer does.
+        return server.drawing.submit(lambda: viewer.subject(state).saved(state))
 
     def __repr__(self) -> str:
-        return f"a page at {self.address}"
+        return f"a {'closed ' if self._server is None else ''}page at {self.address}"
 
     def _repr_html_(self) -> str:
+        if self._server is None:
+            return repr(self)
         address = html.escape(self.address)
         return f'<iframe src="{address}" width="100%" height="{_HEIGHT}" allow="clipboard-write"></iframe>'
 
@@ -74,7 +114,7 @@ def view(what: Any, *overrides: str, port: int = 0) -> OpenPage:
     - `overrides`: strings such as `"filter.radius=3"` that replace values of the configuration.
     - `port`: to listen on, on this machine only; 0 is any free one.
 
-    **Returns** the page, whose `values` are the numbers that were changed on it.
+    **Returns** the page, whose `values` are the numbers that were changed on it. Its `close` frees all that it holds.
 
     **Raises** `ConfigError` for a mistake in the configuration, `TypeError` for other objects, and `ValueError` for a
     problem without a scene, or a port that cannot be used.
@@ -83,21 +123,21 @@ def view(what: Any, *overrides: str, port: int = 0) -> OpenPage:
         what = what.scene
         if what is None:
             raise ValueError("the problem has no scene; expected one with a scene, as TechniqueProblem.of makes it")
-    if isinstance(what, Scene):
-        return OpenPage(_config_of(what, overrides), "scene", port)
-    if isinstance(what, str | os.PathLike):
-        file = settings_file(what).path if Path(what).is_dir() else Path(what)
-        return OpenPage(load_config(file, overrides), str(what), port)
-    check_instance("what to view", what, Config, "a configuration, its path, or a scene")
-    if overrides:
-        raise ValueError("overrides are given with a Config; expected a path with them: give them to load_config")
-    return OpenPage(what, what.name, port)
+    with contextlib.ExitStack() as files:
+        if isinstance(what, Scene):
+            folder = files.enter_context(tempfile.TemporaryDirectory(prefix="diffshadow-"))
+            return OpenPage(_config_of(what, overrides, Path(folder)), "scene", port, files)
+        if isinstance(what, str | os.PathLike):
+            file = settings_file(what).path if Path(what).is_dir() else Path(what)
+            return OpenPage(load_config(file, overrides), str(what), port, files)
+        check_instance("what to view", what, Config, "a configuration, its path, or a scene")
+        if overrides:
+            raise ValueError("overrides are given with a Config; expected a path with them: give them to load_config")
+        return OpenPage(what, what.name, port, files)
 
 
-def _config_of(scene: Scene, overrides: tuple[str, ...]) -> Config:
-    """A configuration of `scene`, read from files that are removed with the process."""
-    _FOLDERS.append(tempfile.TemporaryDirectory(prefix="diffshadow-"))
-    folder = Path(_FOLDERS[-1].name)
+def _config_of(scene: Scene, overrides: tuple[str, ...], folder: Path) -> Config:
+    """A configuration of `scene`, whose files are written into `folder`."""
     io.write_gltf(folder / "scene.glb", scene)
     made, sections = [], []
     for i, light in enumerate(scene.lights):
@@ -119,10 +159,13 @@ def _config_of(scene: Scene, overrides: tuple[str, ...]) -> Config:
     return load_config(made[0], [*lights, *overrides])
 
 
-_FOLDERS: list[tempfile.TemporaryDirectory[str]] = []
-
-
-async def _started(config: Config, name: str, port: int) -> Server:
-    server = Server(config, name)
-    server.start(port)
-    return server
+def _serve(config: Config, name: str, port: int, started: Future[Server]) -> None:
+    """Serves until the server that it starts is `ended`, and all its work too."""
+    try:
+        asyncio.run(serve(config, name, port, started.set_result))
+    except Exception as error:
+        if started.done():
+            raise
+        started.set_exception(error)
+    else:
+        started.result().join()

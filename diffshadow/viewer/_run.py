@@ -7,7 +7,7 @@ import webbrowser
 from rich.console import Console
 
 from ..config import Config
-from ._server import Server
+from ._server import Server, serve
 
 
 def run(config: Config, *, name: str, console: Console, port: int = 0, browser: bool = True) -> None:
@@ -22,14 +22,11 @@ def run(config: Config, *, name: str, console: Console, port: int = 0, browser: 
     **Raises** `ValueError` for a configuration that cannot be drawn, or a port that cannot be used.
     """
 
-    async def serve() -> None:
-        server = Server(config, name)
-        server.start(port)
+    def started(server: Server) -> None:
         console.print(server.address, soft_wrap=True)
         console.print("Ctrl-C ends it")
         if browser:
             webbrowser.open(server.address)
-        await asyncio.Event().wait()
 
     with contextlib.suppress(KeyboardInterrupt):
-        asyncio.run(serve())
+        asyncio.run(serve(config, name, port, started))

@@ -16,7 +16,7 @@ import tornado.websocket
 from pydantic import ValidationError
 from tornado.httpserver import HTTPServer
 
-from ..config import Config
+from ..config import Config, printable
 from ._fits import reason_of
 from ._state import Look, Message, State
 from ._viewer import Viewer
@@ -26,8 +26,11 @@ HOST = "127.0.0.1"
 _REST = 0.25
 # Seconds after which a page says that its picture takes long.
 _LONG = 0.7
-_MAX_MESSAGE = 1 << 18
+# Bytes of a message. Of longer ones, the connection is closed instead of an answer.
+_MAX_MESSAGE, _MOST_READ = 1 << 18, 1 << 26
 _MOST_PORT = (1 << 16) - 1
+# Characters that an answer quotes.
+_SHORT = 80
 _FILES = {"": "text/html", "page.css": "text/css", "page.js": "text/javascript"}
 # Pages load nothing from elsewhere, and are shown in no foreign frame.
 _POLICY = (
@@ -39,12 +42,14 @@ _POLICY = (
 class Server:
     """The server of one configuration. Its methods are called in the thread of the event loop that it was made in.
 
+    - `ended`: set it to end what `serve` serves.
     - `last`: the settings that a page has shown last; none before.
     - `drawn`: the structures that full pictures were drawn of, which compile nothing.
     """
 
     def __init__(self, config: Config, name: str):
         self.loop = asyncio.get_running_loop()
+        self.ended = asyncio.Event()
         self.pages: set[Page] = set()
         # One thread draws for all pages, and one what has to be compiled first, so that no page waits for another's.
         self.drawing = ThreadPoolExecutor(1, thread_name_prefix="drawing")
@@ -52,6 +57,7 @@ class Server:
         self.last: State | None = None
         self.drawn: set[str] = set()
         self.viewer = Viewer(config, name, self._in_loop(self._traced), self._in_loop(self._fitted))
+        self._http: HTTPServer | None = None
         self.address = ""
 
     def start(self, port: int) -> None:
@@ -65,19 +71,36 @@ class Server:
                 f"--port is {port}, which cannot be used ({error}); expected a free port from 0 to {_MOST_PORT}, where "
                 "0 is any: choose another"
             ) from error
-        settings: dict[str, Any] = {"server": self, "websocket_max_message_size": _MAX_MESSAGE}
+        settings: dict[str, Any] = {"server": self, "websocket_max_message_size": _MOST_READ}
         routes = [(r"/socket", Page), (r"/(page\.css|page\.js|)", File)]
-        self._http = HTTPServer(tornado.web.Application(routes, log_function=lambda handler: None, **settings))
+        application = tornado.web.Application(routes, log_function=lambda handler: None, **settings)
         bound.setblocking(False)
-        self._http.add_socket(bound)
+        self._http = http = HTTPServer(application)
+        http.add_socket(bound)
         self.address = f"http://{HOST}:{bound.getsockname()[1]}/"
 
     def stop(self) -> None:
-        """Closes all pages, and stops listening. A fit goes on."""
+        """Closes all pages, stops listening, and stops what is drawn, traced and fitted after its present step."""
         for page in [*self.pages]:
-            page.close()
-            self.viewer.tracer.rest(page)
-        self._http.stop()
+            page.leave()
+        if self._http is not None:
+            self._http.stop()
+        for thread in (self.drawing, self.compiling):
+            thread.shutdown(wait=False, cancel_futures=True)
+        self.viewer.close()
+
+    async def hang_up(self) -> None:
+        """Closes the connections that are left after `stop`."""
+        if self._http is not None:
+            await self._http.close_all_connections()
+
+    def join(self) -> None:
+        """Waits until what `stop` stops has ended. Called in another thread, or once the loop has ended."""
+        for thread in (self.drawing, self.compiling):
+            thread.shutdown()
+        # A fit may have been about to start.
+        self.viewer.close()
+        self.viewer.join()
 
     def _in_loop(self, call: Callable[[Any], None]) -> Callable[[Any], None]:
         """`call`, to be called from other threads."""
@@ -134,6 +157,14 @@ class Page(tornado.websocket.WebSocketHandler):
         self.woken = asyncio.Event()
         self.pump = asyncio.ensure_future(self._pump())
 
+    def leave(self) -> None:
+        """Closes the connection at once."""
+        connection: Any = self.ws_connection
+        self.close()
+        if connection is not None:
+            # Not all clients answer.
+            connection.stream.close()
+
     def on_close(self) -> None:
         self.server.pages.discard(self)
         self.server.viewer.tracer.rest(self)
@@ -150,16 +181,15 @@ class Page(tornado.websocket.WebSocketHandler):
 
     def on_message(self, message: str | bytes) -> None:
         try:
-            asked = Message.model_validate_json(message)
-        except ValidationError as error:
-            first = error.errors(include_url=False)[0]
-            where = ".".join(map(str, first["loc"])) or "the message"
-            self.tell(error=f"{where}: {first['msg']}; expected a message of this page; reload it")
+            asked = _message_of(message)
+        except ValueError as error:
+            self.tell(error=str(error))
             return
         if asked.look is not None:
+            if self.look is None or _truth_of(asked.look) != _truth_of(self.look):
+                self.server.viewer.tracer.rest(self)
             self.look, self.since, self.is_new = asked.look, time.monotonic(), True
             self.server.last = asked.look.state
-            self.server.viewer.tracer.rest(self)
         if asked.shown is not None and asked.shown == self.in_flight:
             self.in_flight = None
         if asked.stop:
@@ -170,7 +200,7 @@ class Page(tornado.websocket.WebSocketHandler):
         if asked.code is not None:
             self._answer("code", viewer.code, asked.code)
         if asked.fit is not None:
-            self._answer(None, viewer.start_fit, asked.fit)
+            self._answer("started", viewer.start_fit, asked.fit)
         self.woken.set()
 
     def traced(self, key: Hashable) -> None:
@@ -179,12 +209,10 @@ class Page(tornado.websocket.WebSocketHandler):
             self.is_rough = True
             self.woken.set()
 
-    def _answer(self, part: str | None, work: Callable[[Any], Any], given: Any) -> None:
+    def _answer(self, part: str, work: Callable[[Any], Any], given: Any) -> None:
         async def answer() -> None:
             with self._errors():
-                found = await self._do(self.server.drawing, work, given)
-                if part is not None:
-                    self.tell(**{part: found})
+                self.tell(**{part: await self._do(self.server.drawing, work, given)})
 
         # The loop itself keeps only weak references.
         task = asyncio.ensure_future(answer())
@@ -218,7 +246,7 @@ class Page(tornado.websocket.WebSocketHandler):
                     await self._draw(self.look, at_rest)
 
     async def _draw(self, look: Look, at_rest: bool) -> None:
-        self.is_new = self.is_rough = False
+        is_new, self.is_new, self.is_rough = self.is_new, False, False
         viewer = self.server.viewer
         slow = self.server.loop.call_later(_LONG, self.tell_that_it_takes_long)
         try:
@@ -228,11 +256,16 @@ class Page(tornado.websocket.WebSocketHandler):
                 controls = await self._do(thread, viewer.controls, look.state)
                 self.built = built
                 self.tell(controls=controls)
+            if is_new and (wrong := await self._do(thread, viewer.misfits, look.state)):
+                self.tell(error="; ".join(wrong))
             shown = await self._do(thread, viewer.show, look, at_rest=at_rest)
             self.is_rough = not shown.about["is_full"] or self.is_rough
             if shown.about["is_full"]:
                 self.server.drawn.add(built)
                 self.key = await self._do(thread, viewer.trace, look, self)
+                # A better reference may have come before its key was known here.
+                known = viewer.tracer.reference(self.key)
+                self.is_rough |= known is not None and known.samples != shown.about["rays"]
         finally:
             slow.cancel()
         self.number += 1
@@ -240,6 +273,54 @@ class Page(tornado.websocket.WebSocketHandler):
         head = json.dumps({**shown.about, "number": self.number}).encode()
         with contextlib.suppress(tornado.websocket.WebSocketClosedError):
             await self.write_message(struct.pack(">I", len(head)) + head + shown.jpeg, binary=True)
+
+
+async def serve(config: Config, name: str, port: int, started: Callable[[Server], None]) -> None:
+    """Serves pages until they are ended, or this is cancelled; `started` is called once it listens.
+
+    **Raises** what `Server` and its `start` raise.
+    """
+    server = Server(config, name)
+    try:
+        server.start(port)
+        started(server)
+        await server.ended.wait()
+    finally:
+        server.stop()
+        await server.hang_up()
+
+
+def _message_of(text: str | bytes) -> Message:
+    """**Raises** `ValueError` with what is wrong with a message."""
+    if len(text) > _MAX_MESSAGE:
+        raise ValueError(f"the message has {len(text):,} characters; expected at most {_MAX_MESSAGE:,}; send less")
+    try:
+        asked = Message.model_validate_json(text, strict=True)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_context=False)[0]
+        where, what = ".".join(map(str, first["loc"])), first["msg"]
+        if first["type"] == "extra_forbidden":
+            what = "there is no such key"
+        elif where and isinstance(first["input"], str | int | float | bool | None):
+            what = f"{what}, and is {_short(repr(first['input']))}"
+        raise ValueError(
+            f"{_short(where) or 'the message'}: {printable(what)}; expected a message of this page; reload it"
+        ) from None
+    if asked == Message():
+        parts = ", ".join(Message.model_fields)
+        raise ValueError(f"the message is empty; expected an object with one of {parts}; reload the page")
+    return asked
+
+
+def _short(text: str) -> str:
+    return printable(text if len(text) <= _SHORT else f"{text[:_SHORT]} …")
+
+
+def _truth_of(look: Look) -> Any:
+    """What the reference of `look` depends on, at most."""
+    state = look.state
+    numbers = {name: value for name, value in state.numbers.items() if name.startswith("scene.")}
+    return state.scene, state.structure, numbers, state.camera, look.light
 
 
 def check_host(handler: tornado.web.RequestHandler) -> None:

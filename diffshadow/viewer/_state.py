@@ -10,7 +10,11 @@ View = Literal[
 """What a picture shows."""
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-Point = tuple[Finite, Finite, Finite]
+# As far as a camera may be, in world units.
+Coordinate = Annotated[float, Field(ge=-1e9, le=1e9)]
+Point = tuple[Coordinate, Coordinate, Coordinate]
+# Keys have fewer characters.
+Name = Annotated[str, Field(min_length=1, max_length=256)]
 
 
 class _Message(BaseModel):
@@ -22,7 +26,7 @@ class Camera(_Message):
 
     eye: Point
     target: Point
-    height: Finite | None = None
+    height: Coordinate | None = None
 
 
 class State(_Message):
@@ -34,11 +38,11 @@ class State(_Message):
     - `fitted`: the names of the numbers that a fit finds; none for the configuration's own.
     """
 
-    scene: str | None = None
-    structure: dict[str, JsonValue] = Field(default={}, max_length=64)
-    numbers: dict[str, Finite] = Field(default={}, max_length=1024)
+    scene: Name | None = None
+    structure: dict[Name, JsonValue] = Field(default={}, max_length=64)
+    numbers: dict[Name, Finite] = Field(default={}, max_length=1024)
     camera: Camera | None = None
-    fitted: tuple[str, ...] | None = None
+    fitted: Annotated[tuple[Name, ...], Field(max_length=1024)] | None = None
 
 
 class Look(_Message):

@@ -1,6 +1,7 @@
 """A configuration that is built once, so that its numbers and its camera can change without compiling anything."""
 
 import dataclasses
+import difflib
 import json
 import math
 from collections.abc import Mapping
@@ -23,7 +24,10 @@ from ..config import (
     changed,
     dump_resolved,
     fit_paths,
+    is_key,
     parse_config,
+    preferences,
+    printable,
     with_number,
 )
 from ._controls import Picker, Slider, pickers_of, sliders_of
@@ -100,19 +104,53 @@ class Subject:
         named = [name for name in self.config.fit.parameters if name in self._paths or name.startswith("scene.")]
         return named or list(self._paths)
 
+    def misfits(self, state: State) -> list[str]:
+        """What is wrong with the numbers of `state`, a sentence each. `at` leaves out those that there are not, and
+        keeps the others within their sliders. What another technique, filter or light has is not wrong: pages keep it
+        while such a choice changes."""
+        found = []
+        for name in dict.fromkeys([*state.numbers, *(state.fitted or ())]):
+            if not self._has(name) and not is_key(name):
+                near = difflib.get_close_matches(name, self.sliders, 1, 0) or ["one that it shows"]
+                found.append(
+                    f"{printable(name)} is no number of this configuration; expected a number with a slider; remove "
+                    f"it, or name another, such as {near[0]}"
+                )
+        for name, value in state.numbers.items():
+            slider = self.sliders.get(name)
+            if slider is not None and not slider.holds(value):
+                unit = f", in {slider.unit}" if slider.unit else ""
+                found.append(
+                    f"{name} is {value:g}; expected a number from {slider.low:g} to {slider.high:g}{unit}; change it"
+                )
+        return found
+
     def saved(self, state: State, *, fitting: bool = False) -> Config:
         """The configuration of `state`, checked: also for a fit from there, if `fitting`. A render of it draws what the
-        page shows.
+        page shows. If nothing is chosen to be fitted, it cannot be fitted.
 
-        **Raises** `ConfigError` if it is not valid.
+        **Raises** `ConfigError` if it is not valid, and `ValueError` if nothing is chosen for a fit.
         """
-        config = self.at(state)
-        names = self.fitted if state.fitted is None else state.fitted
+        config, overrides = self.at(state), []
+        names = self.fitted if state.fitted is None else [name for name in state.fitted if self._has(name)]
+        if fitting and not names and self._paths:
+            raise ValueError(
+                "nothing is chosen to be fitted; expected at least one number whose box is checked; check the box "
+                f"beside a number, such as {next(iter(self._paths))}, and press Fit again"
+            )
         parameters = {name: self._bounds(config, name) for name in names}
+        if parameters or state.fitted is not None:
+            fitted = changed(config.fit, parameters=parameters)
+            # Preferences among other numbers mean nothing.
+            kept = [each for each in fitted.prefer if {*preferences(changed(fitted, prefer=(each,)))} & {*parameters}]
+            overrides = [f"fit.parameters={json.dumps(parameters)}", f"fit.prefer={json.dumps(kept)}"]
         # Its maps have the margins of the page's maps.
         whole = changed(config, technique=_wide(config, self.sliders).technique)
-        override = [f"fit.parameters={json.dumps(parameters)}"] if parameters else []
-        return parse_config(dump_resolved(whole), override, source="the page's settings", fitting=fitting)
+        return parse_config(dump_resolved(whole), overrides, source="the page's settings", fitting=fitting)
+
+    def _has(self, name: str) -> bool:
+        of_scene = name.startswith("scene.") and name in self.config.fit.parameters
+        return name in self.sliders or of_scene
 
     def _bounds(self, config: Config, name: str) -> dict[str, float]:
         """The bounds of a fit of the number `name`. A technique's starts at its value."""

@@ -1,6 +1,5 @@
 """Traces references of pages at rest: with few rays at first, then with more."""
 
-import contextlib
 import os
 import sys
 import threading
@@ -10,6 +9,8 @@ from typing import Any, NamedTuple
 from .. import reference, study
 from ..geometry import Scene
 from ..reference import Reference
+from ._fits import reason_of
+from ._threads import start
 
 # Rays per pixel of the first picture, and by how much each next one has more.
 _FIRST, _FACTOR = 4, 4
@@ -25,75 +26,119 @@ class Asked(NamedTuple):
     how: Mapping[str, Any]
 
 
+class Traced(NamedTuple):
+    """What is known of a reference.
+
+    - `reference`: with the most rays so far; none if there is none yet.
+    - `is_last`: whether it gets no better.
+    - `reason`: why there is none; empty otherwise.
+    """
+
+    reference: Reference | None = None
+    is_last: bool = False
+    reason: str = ""
+
+
 class Tracer:
-    """A thread that traces the references that pages ask for, one after another. Each gets better in several steps.
+    """Traces the references that pages ask for, one after another, in a thread that lasts while there are any. Each
+    gets better in several steps.
 
     - `found`: called with the key of each new reference, in that thread.
     """
 
     def __init__(self, found: Callable[[Hashable], None]):
         self.found = found
-        self._references: dict[Hashable, tuple[Reference, bool]] = {}
+        self._known: dict[Hashable, Traced] = {}
         # What each page asks for.
         self._asked: dict[Hashable, Asked] = {}
-        self._changed = threading.Condition()
-        threading.Thread(target=self._run, daemon=True, name="tracing").start()
+        self._lock = threading.Lock()
+        self._thread: threading.Thread | None = None
+        self._is_closed = False
+
+    def known(self, key: Hashable) -> Traced:
+        """What is known of the reference of `key`."""
+        return self._known.get(key, Traced())
 
     def reference(self, key: Hashable) -> Reference | None:
         """The best reference so far."""
-        return self._references.get(key, (None, False))[0]
+        return self.known(key).reference
 
     def want(self, page: Hashable, key: Hashable, scene: Scene, how: Mapping[str, Any]) -> None:
-        """Traces what `page` shows, unless that is done, after what other pages asked for before."""
-        with self._changed:
+        """Traces what `page` shows, unless that is done, after what other pages asked for before. What it asks for
+        already goes on."""
+        with self._lock:
+            asked = self._asked.get(page)
+            if self._is_closed or (asked is not None and asked.key == key):
+                return
             self._asked.pop(page, None)
-            if not self._references.get(key, (None, False))[1]:
-                self._asked[page] = Asked(key, scene, how)
-            self._changed.notify()
+            if self.known(key).is_last:
+                return
+            self._asked[page] = Asked(key, scene, how)
+            if self._thread is None:
+                self._thread = start(self._run, self.close, "tracing")
 
     def rest(self, page: Hashable) -> None:
         """Stops: `page` no longer shows what it asked for."""
-        with self._changed:
+        with self._lock:
             self._asked.pop(page, None)
+
+    def close(self) -> None:
+        """Stops for good."""
+        with self._lock:
+            self._is_closed = True
+            self._asked.clear()
+
+    def join(self) -> None:
+        """Waits until nothing is traced."""
+        thread = self._thread
+        if thread is not None:
+            thread.join()
 
     def _run(self) -> None:
         if sys.platform == "linux":
             # Of this thread alone, and the threads that it starts: drawing comes first.
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
         while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._asked)
-                asked = next(iter(self._asked.values()))
-            with contextlib.suppress(_AbandonedError):
+            with self._lock:
+                asked = next(iter(self._asked.values()), None)
+                if asked is None:
+                    self._thread = None
+                    return
+            try:
                 self._trace(asked)
-            with self._changed:
-                self._asked = {page: each for page, each in self._asked.items() if each is not asked}
+            except _AbandonedError:
+                continue
+            with self._lock:
+                self._asked = {page: each for page, each in self._asked.items() if each.key != asked.key}
 
     def _trace(self, asked: Asked) -> None:
         key, scene, how = asked
 
         def go_on(_: float) -> None:
-            if not any(each is asked for each in self._asked.values()):
+            # Pages that show the same share it.
+            if not any(each.key == key for each in [*self._asked.values()]):
                 raise _AbandonedError
 
-        if self._references.get(key, (None, False))[1]:
-            # Another page has asked for the same.
-            return
+        before = self.reference(key)
         try:
             for samples in _steps(scene, **how):
-                few = reference.trace_visibility(scene, **{**how, "samples": samples}, progress=go_on)
-                self._publish(key, few, is_last=False)
-            self._publish(key, study.trace(scene, how, go_on), is_last=True)
-        except ValueError:
-            # The camera sees nothing.
-            raise _AbandonedError from None
+                # It may have been abandoned after its first steps.
+                if before is None or before.samples < samples:
+                    few = reference.trace_visibility(scene, **{**how, "samples": samples}, progress=go_on)
+                    self._publish(key, Traced(few))
+            self._publish(key, Traced(study.trace(scene, how, go_on), is_last=True))
+        except _AbandonedError:
+            raise
+        except Exception as error:
+            # Such as a camera that sees nothing. Asking again would not help.
+            self._publish(key, Traced(is_last=True, reason=reason_of(error)))
 
-    def _publish(self, key: Hashable, made: Reference, *, is_last: bool) -> None:
-        with self._changed:
-            self._references.pop(key, None)
-            self._references[key] = made, is_last
-            while len(self._references) > _MOST_KEPT:
-                del self._references[next(iter(self._references))]
+    def _publish(self, key: Hashable, made: Traced) -> None:
+        with self._lock:
+            self._known.pop(key, None)
+            self._known[key] = made
+            while len(self._known) > _MOST_KEPT:
+                del self._known[next(iter(self._known))]
         self.found(key)
 
 

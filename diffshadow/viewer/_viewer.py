@@ -12,7 +12,7 @@ from PIL import Image
 from rich.console import Console
 
 from .. import study
-from ..config import Config, changed, dump_resolved, parse_config
+from ..config import Config, changed, dump_resolved, parse_config, printable
 from ._fits import Fit
 from ._pictures import figures_of, picture_of, views_of
 from ._stages import Frame, Picture, Stage, Stages
@@ -66,6 +66,37 @@ class Viewer:
         key = json.dumps([state.scene, list(state.structure.items())])
         return self._subjects(key, lambda: Subject(self._structured(state)))
 
+    def misfits(self, state: State) -> list[str]:
+        """What is wrong with `state` beside its structure, a sentence each. Its pictures go without."""
+        wrong = []
+        if state.scene is not None and state.scene not in self.scenes:
+            among = ", ".join(self.scenes)
+            wrong = [
+                f"scene is {printable(state.scene)}; expected {f'{among} or ' if among else ''}null, which is the "
+                "configuration's own scene; choose another"
+            ]
+        return [*wrong, *self.subject(state).misfits(state)]
+
+    def _checked(self, state: State) -> State:
+        """`state` without the numbers that its subject has not.
+
+        **Raises** `ValueError` if something is wrong with it.
+        """
+        for sentence in self.misfits(state):
+            raise ValueError(sentence)
+        known = self.subject(state).sliders
+        return state.model_copy(update={"numbers": {k: value for k, value in state.numbers.items() if k in known}})
+
+    def close(self) -> None:
+        """Stops what it traces and fits, for good."""
+        self.tracer.close()
+        self.fit.stop()
+
+    def join(self) -> None:
+        """Waits until nothing is traced or fitted."""
+        self.tracer.join()
+        self.fit.join()
+
     def _structured(self, state: State) -> Config:
         chosen = [view.config for view in self.config.views if view.name == state.scene]
         config = _alone(chosen[0] if chosen else self.config)
@@ -88,7 +119,8 @@ class Viewer:
         """A picture of `look` in full or half size."""
         started = time.perf_counter()
         frame = self.frame(look, full=full)
-        truth = self.tracer.reference(frame.truth_key) if full else None
+        known = self.tracer.known(frame.truth_key)
+        truth = known.reference if full else None
         picture, view = picture_of(frame, look.view, truth), look.view
         if picture is None:
             picture, view = frame.shaded(), "shaded"
@@ -99,6 +131,7 @@ class Viewer:
             "is_full": full,
             "figures": {} if truth is None else figures_of(frame, truth),
             "rays": 0 if truth is None else truth.samples,
+            "untraced": known.reason,
             "size": frame.size,
             "views": views_of(frame),
             "light": frame.light,
@@ -132,26 +165,32 @@ class Viewer:
         }
 
     def save(self, state: State) -> dict[str, Any]:
-        """The configuration of `state` as YAML, and the command that draws the same."""
+        """The configuration of `state` as YAML, and the command that draws the same.
+
+        **Raises** `ValueError` if something is wrong with `state`.
+        """
+        state = self._checked(state)
         config = self.subject(state).saved(state)
         command = ["diffshadow", "render", self.name, *overrides_of(settings_of(state, self.config, config))]
         return {"yaml": dump_resolved(config), "name": f"{config.name}-view.yaml", "command": shlex.join(command)}
 
-    def start_fit(self, state: State) -> None:
-        """Starts a fit from `state`, unless one is running.
+    def start_fit(self, state: State) -> int | None:
+        """Starts a fit from `state`, unless one is running. **Returns** its number.
 
-        **Raises** `ConfigError` for settings that cannot be fitted.
+        **Raises** `ConfigError` for settings that cannot be fitted, and `ValueError` if nothing is chosen to be fitted.
         """
-        self.fit.start(self.subject(state).saved(state, fitting=True))
+        state = self._checked(state)
+        return self.fit.start(self.subject(state).saved(state, fitting=True))
 
     def code(self, look: Look) -> str:
         """The settings of `look` for engines: code, or a table of biases and radii.
 
-        **Raises** `ConfigError` for settings that no engine has.
+        **Raises** `ConfigError` for settings that no engine has, and `ValueError` if something is wrong with them.
         """
-        config = self.subject(look.state).saved(look.state)
+        state = self._checked(look.state)
+        config = self.subject(state).saved(state)
         text = Console(file=io.StringIO(), width=100)
-        changes = overrides_of(settings_of(look.state, self.config, config))
+        changes = overrides_of(settings_of(state, self.config, config))
         study.convert(config, console=text, source=self.name, overrides=changes, fits=False)
         return text.file.getvalue()  # type: ignore[attr-defined]
 
@@ -174,10 +213,10 @@ def settings_of(state: State, given: Config, now: Config) -> dict[str, Any]:
     **Arguments:** the configuration as it was `given`, and as it is `now`.
     """
     settings: dict[str, Any] = dict(state.structure)
-    for name, value in state.numbers.items():
+    for name in state.numbers:
         key, _, entry = name.rpartition(".")
         # A list that the file does not have is set as a whole.
-        settings |= {key: list(value_at(now, key))} if entry.isdigit() else {name: value}
+        settings |= {key: list(value_at(now, key))} if entry.isdigit() else {name: value_at(now, name)}
     for key in (".".join(map(str, ("scene", *each))) for each in given.scene.each_light):
         moved = any(name.startswith(f"{key}.") for name in state.numbers)
         if moved and getattr(value_at(given, key), "direction", None) is not None:

@@ -20,13 +20,13 @@ let socket = null;
 function connect() {
   socket = new WebSocket(`ws://${location.host}/socket`);
   socket.binaryType = "arraybuffer";
-  socket.onopen = () => { say("note", ""); ask(); };
+  socket.onopen = () => { say("note", ""); send({ look }); };
   socket.onclose = () => { say("note", "diffshadow view has ended, or cannot be reached; this page tries again"); setTimeout(connect, 1000); };
   socket.onmessage = ({ data }) => typeof data === "string" ? hear(JSON.parse(data)) : show(data);
 }
 
 const send = (message) => { if (socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message)); };
-const ask = () => send({ look });
+const ask = () => { say("error", ""); send({ look }); };
 const say = (id, text) => { $(id).textContent = text; };
 
 function hear(message) {
@@ -34,6 +34,7 @@ function hear(message) {
   if ("note" in message) say("note", message.note);
   if ("controls" in message) build(message.controls);
   if ("saved" in message) saved(message.saved);
+  if (message.started) { ownFit = message.started; fittedOf = structure(); }
   if ("code" in message) copy(message.code, "Copied the code");
   if ("fit" in message) followFit(message.fit);
 }
@@ -47,7 +48,6 @@ async function show(data) {
   paint();
   send({ shown: about.number });
   fill($("view"), about.views.includes(look.view) ? about.views : [look.view, ...about.views], look.view);
-  say("error", "");
   say("figures", sentence(about));
   say("note", `${about.size[1]} × ${about.size[0]} pixels in ${about.milliseconds} ms`);
   document.body.dataset.full = about.is_full; // for tests
@@ -66,8 +66,9 @@ function paint() {
   context.fillRect(at - 1, 0, 2, tall);
 }
 
-function sentence({ figures, rays, is_full, view }) {
+function sentence({ figures, rays, is_full, view, untraced }) {
   if (!is_full) return "";
+  if (untraced) return untraced;
   const waits = view !== look.view ? `; ${look.view} follows` : "";
   if (!rays) return `tracing the reference${waits}`;
   if (!("rmse" in figures)) return "no pixel counts under this light";
@@ -82,13 +83,14 @@ function change(edit) {
   edit(look.state);
   ask();
   clearTimeout(pause);
-  pause = setTimeout(settle, PAUSE);
+  pause = setTimeout(() => settle(), PAUSE);
   mark();
 }
 
-function settle() {
+// A fit is one step: it is settled when it ends.
+function settle(evenInFit = false) {
   const now = JSON.stringify(look);
-  if (now === settled) return;
+  if (now === settled || (isFitting && !evenInFit)) return;
   done.push(settled);
   settled = now;
   $("undo").disabled = false;
@@ -142,7 +144,11 @@ function build(given) {
   document.title = `${given.name} – diffshadow`;
   const { numbers } = look.state;
   // Numbers that this technique does not have.
-  for (const key of Object.keys(numbers)) if (!given.sliders.some((slider) => slider.key === key)) delete numbers[key];
+  const own = new Map(given.sliders.map((slider) => [slider.key, slider]));
+  for (const key of Object.keys(numbers)) {
+    if (own.has(key)) numbers[key] = Math.min(Math.max(numbers[key], own.get(key).low), own.get(key).high);
+    else delete numbers[key];
+  }
   rows.clear();
   const groups = GROUPS.map(([prefix, title, open]) => {
     const made = document.createElement("details");
@@ -160,7 +166,8 @@ function build(given) {
   $("scene-label").hidden = !given.scenes.length;
   $("sky").toggleAttribute("hidden", !sunKeys().length);
   refresh();
-  followFit(given.fit);
+  // Its values were taken as they came; the sliders may have moved since.
+  showFit(given.fit);
 }
 
 const element = (tag, text, of = {}) => Object.assign(document.createElement(tag), { textContent: text }, of);
@@ -191,7 +198,7 @@ function number(slider, prefix) {
   range.oninput = () => put(Number(Number(range.value).toPrecision(6)));
   field.onchange = () => put(Math.min(Math.max(Number(field.value), slider.low), slider.high));
   again.onclick = () => put(slider.value);
-  if (slider.is_fittable) {
+  if (slider.is_fittable || controls.fitted.includes(slider.key)) {
     const box = element("input", "", { type: "checkbox", checked: fitted().includes(slider.key), title: "whether a fit finds it" });
     box.setAttribute("aria-label", `Fit ${slider.key}`);
     box.onchange = () => change((state) => {
@@ -321,22 +328,31 @@ function aim(event) {
 
 // --- Fits ---
 
-let curve = [], shownFit = 0, ownFit = 0, asksForFit = false;
+let curve = [], shownFit = 0, ownFit = null, fittedOf = "", isFitting = false;
 
-// The sliders follow a fit that this page has started.
+// What a fit's values belong to.
+const structure = () => JSON.stringify([look.state.scene, look.state.structure]);
+
+// The sliders follow a fit that this page has started, unless it shows another filter, technique or scene since.
 function followFit(news) {
+  if (news.number === ownFit && news.values && fittedOf === structure()) take(news.values);
+  showFit(news);
+}
+
+function showFit(news) {
   if (!("number" in news)) return;
-  if (news.number !== shownFit) {
+  if (news.number !== shownFit || news.steps) {
     shownFit = news.number;
-    curve = news.steps ?? [];
-    if (asksForFit) ownFit = news.number;
-    asksForFit = false;
+    curve = [...news.steps ?? []];
   }
   if (news.step) curve.push(news.step);
-  const isOwn = news.number === ownFit;
-  if (isOwn && news.values) take(news.values);
-  $("take").hidden = isOwn || !news.done;
-  $("take").onclick = () => take(news.values);
+  isFitting = news.running && news.number === ownFit;
+  if (!isFitting) {
+    clearTimeout(pause);
+    pause = setTimeout(() => settle(), PAUSE);
+  }
+  $("take").hidden = !news.done || (news.number === ownFit && fittedOf === structure());
+  if (news.done) $("take").onclick = () => take(news.values);
   $("fit").disabled = news.running;
   $("stop").disabled = !news.running;
   if (news.error) say("error", news.error);
@@ -384,12 +400,12 @@ async function copy(text, told) {
   try { await navigator.clipboard.writeText(text); say("note", told); } catch { say("note", text); }
 }
 
-$("fit").onclick = () => { asksForFit = true; send({ fit: look.state }); };
+$("fit").onclick = () => { say("error", ""); send({ fit: look.state }); };
 $("stop").onclick = () => send({ stop: true });
 $("save").onclick = () => { saved.wants = "file"; send({ save: look.state }); };
 $("command").onclick = () => { saved.wants = "command"; send({ save: look.state }); };
 $("code").onclick = () => send({ code: look });
-$("share").onclick = () => { settle(); copy(location.href, "Copied the link"); };
+$("share").onclick = () => { settle(true); copy(location.href, "Copied the link"); };
 $("undo").onclick = undo;
 $("reset").onclick = () => { change((state) => Object.assign(state, blank(), { scene: state.scene })); settle(); refresh(); };
 $("view").onchange = () => { look.view = $("view").value; change(() => {}); };

@@ -2,18 +2,24 @@
 
 import asyncio
 import contextlib
+import gc
 import json
+import os
 import struct
+import subprocess
+import sys
 import threading
 import time
 
+import jax
 import pytest
 from tornado.httpclient import AsyncHTTPClient, HTTPRequest
 from tornado.websocket import websocket_connect
 from viewed import TINY
 
 import diffshadow
-from diffshadow.config import parse_config
+from diffshadow.config import build_scene, parse_config
+from diffshadow.viewer import _trace
 from diffshadow.viewer._server import Server
 from diffshadow.viewer._viewer import Viewer
 
@@ -163,6 +169,40 @@ def test_a_page_at_rest_gets_its_reference_while_another_is_dragged():
     talking(script)
 
 
+def test_a_page_at_rest_gets_each_reference_once_and_then_nothing(monkeypatch, tmp_path):
+    monkeypatch.setenv("DIFFSHADOW_CACHE", str(tmp_path))
+    asked, trace = [], _trace.reference.trace_visibility
+
+    def tracing(scene, **how):
+        asked.append(how["samples"])
+        # So long that the picture with the rays before is shown meanwhile, as at real sizes.
+        time.sleep(0.4)
+        how["progress"](0.5)
+        return trace(scene, **how)
+
+    monkeypatch.setattr(_trace.reference, "trace_visibility", tracing)
+
+    async def script(server, opened):
+        page = await opened()
+        await page.send(look=look(**{"scene.light.azimuth": 31.0}))
+        rays = []
+        while 16 not in rays:
+            about = await page.hear("about")
+            rays.append(about["rays"])
+            if about["rays"] == 4 and rays.count(4) == 1:
+                # A bias needs no other reference.
+                await page.send(look=look(**{"scene.light.azimuth": 31.0, "bias.constant": 1.0}))
+            await page.send(shown=about["number"])
+        assert sorted(set(rays)) == [0, 4, 16]
+        assert len(rays) <= 5
+        calls = server.viewer.stages.visibility.calls
+        assert await page.is_silent(0.8)
+        assert server.viewer.stages.visibility.calls == calls
+        assert asked == [4, 16]
+
+    talking(script)
+
+
 @pytest.mark.parametrize(
     ("message", "said"),
     [
@@ -172,6 +212,24 @@ def test_a_page_at_rest_gets_its_reference_while_another_is_dragged():
         ('{"look": {"state": {"numbers": {"bias.constant": 1e999}}}}', "look.state.numbers.bias.constant"),
         ('{"steal": 1}', "steal"),
         ("[]", "the message"),
+        ("{}", "the message is empty; expected an object with one of look, shown, save, code, fit, stop"),
+        ("x" * (1 << 20), "the message has 1,048,576 characters; expected at most 262,144; send less"),
+        ('{"stop": "maybe"}', "stop: Input should be a valid boolean"),
+        ('{"shown": 1.5}', "is 1.5"),
+        ('{"shown": ' + "9" * 5000 + "}", "number out of range"),
+        ('{"look": {"state": {"camera": {"eye": [1e30, 0, 0], "target": [0, 0, 0]}}}}', "look.state.camera.eye.0"),
+        ('{"look": {"state": {"camera": {"eye": [0, 0, 0], "target": [0, 0, 0]}}}}', "expected"),
+        ('{"look": {"state": {"numbers": {"bias.constant": NaN}}}}', "look.state.numbers.bias.constant"),
+        ('{"look": {"state": {"numbers": {"bias.constant": "1"}}}}', "is '1'"),
+        ('{"look": {"state": {"numbers": {"bias.foo": 1}}}}', "bias.foo is no number of this configuration"),
+        ('{"look": {"state": {"numbers": {"bias.constant": 9}}}}', "bias.constant is 9; expected a number from 0 to 8"),
+        ('{"look": {"state": {"numbers": {"' + "a" * 5000 + '": 1}}}}', "at most 256 characters"),
+        ('{"look": {"state": {"structure": {"": 1}}}}', "at least 1 character"),
+        ('{"look": {"state": {"structure": {"filter": ' + "[" * 190 + "]" * 190 + "}}}}", "expected"),
+        ('{"save": {"numbers": {"bias.foo": 1}}}', "bias.foo is no number of this configuration"),
+        ('{"code": {"state": {"numbers": {"bias.foo.0": 1}}}}', "bias.foo.0 is no number of this configuration"),
+        ('{"fit": {"fitted": ["bias.foo"]}}', "bias.foo is no number of this configuration"),
+        ('{"fit": {"fitted": []}}', "nothing is chosen to be fitted"),
         ('{"look": {"state": {"structure": {"filter": {"type": "pfc"}}}}}', "did you mean 'pcf'"),
         ('{"look": {"state": {"structure": {"output": "/etc"}}, "light": 3}}', None),
     ],
@@ -181,7 +239,10 @@ def test_a_wrong_message_is_answered_and_stops_nothing(message, said):
         page = await opened()
         await page.socket.write_message(message)
         if said is not None:
-            assert said in await page.hear("error")
+            answer = await page.hear("error")
+            assert said in answer
+            assert len(answer) < 500
+            assert not any(word in answer for word in ("Error", "Traceback", "\n"))
         await page.send(look=look())
         await page.hear("about")
 
@@ -253,10 +314,92 @@ def test_a_page_beside_python_has_the_values_that_it_was_left_with(tmp_path):
     page.close()
 
 
-@pytest.mark.exhaustive
-def test_a_scene_of_python_is_shown_with_its_meshes_camera_and_lights():
-    from diffshadow.config import build_scene
+async def until_closed(talk):
+    """Whether the connection ends."""
+    for _ in range(100):
+        if await asyncio.wait_for(talk.socket.read_message(), SECONDS) is None:
+            await asyncio.sleep(0.02)
+            return True
+    return False
 
+
+def held():
+    """Threads, file descriptors, and arrays of JAX."""
+    gc.collect()
+    # Threads of JAX that have called Python are dummies.
+    threads = [thread.name for thread in threading.enumerate() if "Dummy" not in thread.name]
+    return sorted(threads), len(os.listdir("/proc/self/fd")), len(jax.live_arrays())
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_a_page_that_is_closed_leaves_nothing_behind():
+    config = parse_config(TINY)
+
+    async def looked_at(page, *, is_left, fits):
+        talk = Talk(await websocket_connect(page.address.replace("http", "ws") + "socket"))
+        await talk.send(look=look(**{"bias.constant": 2.5}))
+        await talk.hear("about")
+        if fits:
+            await talk.send(fit={})
+            await talk.hear("started")
+        if is_left:
+            talk.socket.close()
+            await until_closed(talk)
+        # With a page that is connected, a picture in flight, and sometimes a fit under way.
+        await asyncio.to_thread(page.close)
+        assert is_left or await until_closed(talk)
+        talk.socket.close()
+
+    before = None
+    for count in range(11):
+        page = diffshadow.view(config)
+        asyncio.run(looked_at(page, is_left=count % 2 == 0, fits=count in (3, 6)))
+        page.close()
+        assert page.values == {"bias.constant": 2.5}
+        assert page.config.bias.constant == 2.5
+        assert repr(page) == page._repr_html_() == f"a closed page at {page.address}"
+        # The first one loads what stays.
+        before = before or held()
+    threads, descriptors, arrays = held()
+    assert (threads, descriptors) == before[:2]
+    # JAX keeps what the last callback that was stopped was given.
+    assert arrays <= before[2] + 3
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_a_page_that_does_not_open_leaves_nothing_behind(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    config = parse_config(TINY)
+    with diffshadow.view(config) as page:
+        port = int(page.address.rsplit(":", 1)[1].strip("/"))
+        before = held()
+        for what in (config, build_scene(config)):
+            with pytest.raises(ValueError, match=f"--port is {port}"):
+                diffshadow.view(what, port=port)
+        del what
+        assert held() == before
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("left", ["", "server.viewer.start_fit(State())"])
+def test_python_ends_with_a_page_that_is_open(tmp_path, left):
+    (tmp_path / "tiny.yaml").write_text(TINY)
+    script = f"""
+import diffshadow
+from diffshadow.viewer import Look, State
+page = diffshadow.view("tiny.yaml")
+server = page._server
+server.viewer.trace(Look(state=State()))
+{left}
+"""
+    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.exhaustive
+def test_a_scene_of_python_is_shown_with_its_meshes_camera_and_lights(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     lamp = {"type": "spot", "position": [1, 3, 1], "radius": 0.1}
     lit_by = f"scene.lights=[{{azimuth: -60, elevation: 50, angular_radius: 2}}, {json.dumps(lamp)}]"
     several = build_scene(parse_config(TINY, ["scene.light=null", lit_by]))
@@ -272,7 +415,10 @@ def test_a_scene_of_python_is_shown_with_its_meshes_camera_and_lights():
     assert len(shown.meshes) == 2
     assert shown.camera.eye == pytest.approx((2, 2.5, 3), abs=1e-4)
     assert shown.light.angular_radius == pytest.approx(2, abs=1e-4)
+    assert len(list(tmp_path.iterdir())) == 1
     page.close()
+    assert list(tmp_path.iterdir()) == []
+    assert page.config.scene == shown
 
 
 def test_other_objects_are_refused():

@@ -13,6 +13,7 @@ from viewed import TINY
 
 from diffshadow.config import ConfigError, fit_paths, parse_config
 from diffshadow.study import read_run, run_fit, run_render
+from diffshadow.viewer import _trace
 from diffshadow.viewer._pictures import figures_of, picture_of, views_of
 from diffshadow.viewer._state import Camera, Look, State
 from diffshadow.viewer._viewer import Viewer, overrides_of, settings_of
@@ -253,6 +254,143 @@ def test_what_is_no_longer_shown_is_not_traced_to_its_end(viewer):
     traced(viewer, second, 16)
     reached = viewer.tracer.reference(viewer.frame(first, full=True).truth_key)
     assert reached is None or reached.samples <= 16
+
+
+def slow(monkeypatch, folder, traced=lambda samples: None):
+    """Lets `traced` be called before each reference is traced. **Returns** the list of their rays per pixel."""
+    # A folder without references.
+    monkeypatch.setenv("DIFFSHADOW_CACHE", str(folder))
+    asked, trace = [], _trace.reference.trace_visibility
+
+    def tracing(scene, **how):
+        asked.append(how["samples"])
+        traced(how["samples"])
+        how["progress"](0.5)
+        return trace(scene, **how)
+
+    monkeypatch.setattr(_trace.reference, "trace_visibility", tracing)
+    return asked
+
+
+def test_asking_again_for_the_same_reference_neither_abandons_nor_restarts_it(viewer, monkeypatch, tmp_path):
+    seen = look(numbers={"scene.light.azimuth": 7.0})
+    # As a page does with every picture; and so does another one, and it again after a look at something else.
+    again = lambda samples: [viewer.trace(seen, page) for page in ("one", "other", "one")]
+    asked = slow(monkeypatch, tmp_path, again)
+    assert viewer.trace(seen, "one") == viewer.frame(seen, full=True).truth_key
+    assert traced(viewer, seen, 16).samples == 16
+    viewer.tracer.join()
+    assert asked == [4, 16]
+    # It is done: nothing more is traced.
+    again(16)
+    viewer.tracer.join()
+    assert asked == [4, 16]
+
+
+def test_a_page_that_leaves_does_not_end_what_another_asks_for_and_steps_are_not_repeated(
+    viewer, monkeypatch, tmp_path
+):
+    seen = look(numbers={"scene.light.azimuth": 8.0})
+    went, on = threading.Event(), threading.Event()
+
+    def traced_to(samples):
+        if samples == 16 and not on.is_set():
+            went.set()
+            on.wait(60)
+
+    asked = slow(monkeypatch, tmp_path, traced_to)
+    viewer.trace(seen, "one")
+    assert went.wait(60)
+    viewer.trace(seen, "other")
+    viewer.tracer.rest("one")
+    on.set()
+    assert traced(viewer, seen, 16).samples == 16
+    assert asked == [4, 16]
+    # Abandoned after 4 rays, it goes on with 16.
+    went.clear()
+    on.clear()
+    other = look(numbers={"scene.light.azimuth": 9.0})
+    viewer.trace(other, "one")
+    assert went.wait(60)
+    viewer.tracer.rest("one")
+    on.set()
+    viewer.tracer.join()
+    assert viewer.tracer.reference(viewer.frame(other, full=True).truth_key).samples == 4
+    traced(viewer, other, 16)
+    assert asked == [4, 16, 4, 16, 16]
+
+
+def test_why_there_is_no_reference_is_said_once(viewer, monkeypatch, tmp_path):
+    away = look(camera=Camera(eye=(0.0, 1.5, 0.0), target=(0.0, 3.5, 3.0)))
+    asked = slow(monkeypatch, tmp_path)
+    for _ in range(2):
+        viewer.trace(away)
+        viewer.tracer.join()
+        assert "sees no surface" in viewer.show(away, at_rest=True).about["untraced"]
+    assert asked == [4]
+    assert viewer.show(look(), at_rest=True).about["untraced"] == ""
+
+
+def test_a_fit_of_nothing_is_refused_and_a_saved_page_cannot_be_fitted_either(viewer):
+    nothing = State(fitted=(), numbers={"bias.constant": 1.5})
+    # Nor does the radius of another filter count.
+    bilinear = State(fitted=("filter.radius",), structure={"filter": {"type": "bilinear"}})
+    for state in (nothing, bilinear):
+        with pytest.raises(
+            ValueError, match=r"^nothing is chosen to be fitted; expected .*box beside .* bias\.constant"
+        ):
+            viewer.start_fit(state)
+    assert not viewer.fit.state["running"]
+    text = viewer.save(nothing)["yaml"]
+    saved = parse_config(text)
+    assert (saved.bias.constant, saved.fit.parameters) == (1.5, {})
+    with pytest.raises(ConfigError, match=r"fit\.parameters: is empty; expected at least one parameter to fit"):
+        parse_config(text, fitting=True)
+
+
+def test_a_fit_of_a_part_of_the_configurations_numbers_keeps_the_preferences_among_these():
+    viewer = viewer_of("fit.prefer=[bias.constant, filter.radius]")
+    subject = viewer.subject(State())
+    of_one = subject.saved(State(fitted=("filter.radius",)), fitting=True).fit
+    assert (list(of_one.parameters), of_one.prefer) == (["filter.radius"], ("filter.radius",))
+    whole = subject.saved(State(), fitting=True).fit
+    assert (list(whole.parameters), whole.prefer) == (
+        ["bias.constant", "filter.radius"],
+        ("bias.constant", "filter.radius"),
+    )
+    least = viewer_of("fit.prefer=least_bias").subject(State())
+    assert least.saved(State(fitted=("filter.radius",)), fitting=True).fit.prefer == ()
+    assert least.saved(State(fitted=("bias.constant",)), fitting=True).fit.prefer == ("least_bias",)
+
+
+@pytest.mark.parametrize(
+    ("state", "said"),
+    [
+        ({"numbers": {"bias.foo": 1}}, r"^bias\.foo is no number of this configuration; expected .* such as bias\."),
+        ({"fitted": ("bias.foo",)}, r"^bias\.foo is no number of this configuration"),
+        ({"numbers": {"bias.constant": 8.5}}, r"^bias\.constant is 8\.5; expected a number from 0 to 8, in texels"),
+        (
+            {"numbers": {"scene.light.azimuth": -200}},
+            r"azimuth is -200; expected a number from -180 to 180, in degrees",
+        ),
+        ({"scene": "another"}, r"^scene is another; expected null"),
+    ],
+)
+def test_what_a_configuration_does_not_have_is_neither_saved_nor_converted_nor_fitted(viewer, state, said):
+    state = State(**state)
+    for ask in (viewer.save, viewer.start_fit, lambda state: viewer.code(Look(state=state))):
+        with pytest.raises(ValueError, match=said):
+            ask(state)
+    # The rest is drawn.
+    assert viewer.show(Look(state=state), at_rest=True).about["is_full"]
+
+
+def test_numbers_of_other_choices_are_left_out_without_a_word(viewer):
+    state = State(numbers={"filter.light_size": 2.0, "bias.constant": 1.5, "filter.radius": 8.00001}, fitted=None)
+    assert viewer.misfits(state) == []
+    assert viewer.save(state)["command"].startswith(
+        "diffshadow render tiny.yaml bias.constant=1.5 filter.radius=8.0 bias.slope="
+    )
 
 
 def test_views_are_those_that_the_technique_has(viewer):

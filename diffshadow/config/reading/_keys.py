@@ -114,6 +114,14 @@ def places_of(key: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(dotted(path) for path in _every_key() if path[-1] == key))
 
 
+def is_key(name: str) -> bool:
+    """Whether there are configurations with the dotted key `name`. An index may be of any length of its list."""
+    path: KeyPath = tuple(0 if word.isdecimal() else word for word in name.split("."))
+    known = _every_key()
+    # The numbers of a list have no keys of their own.
+    return path in known or (path[-1] == 0 and path[:-1] in known)
+
+
 @functools.cache
 def _every_key() -> tuple[KeyPath, ...]:
     return tuple(_all_keys())

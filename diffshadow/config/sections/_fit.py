@@ -84,13 +84,9 @@ class FitConfig(Section, fit.Fit):
                 f"is {data['front']}", f"0 for none, or at least {fit.FEWEST_POINTS} points", "raise it, such as to 9"
             )
             yield ("front",), what
-        if data.get("shape") is not None:
-            if names:
-                mend = "remove the parameters, or fit.shape"
-                yield ("parameters",), fault("are given with fit.shape", "one or the other", mend)
-        elif parameters == {}:
-            mend = "add 'bias.constant: {lower: 0, upper: 10}'"
-            yield ("parameters",), fault("is empty", "at least one parameter to fit", mend)
+        if data.get("shape") is not None and names:
+            mend = "remove the parameters, or fit.shape"
+            yield ("parameters",), fault("are given with fit.shape", "one or the other", mend)
         if isinstance(blurs, list | tuple) and all(is_number(blur) for blur in blurs):
             if not blurs or any(a <= b for a, b in itertools.pairwise(blurs)):
                 message = "does not fall" if blurs else "is empty"

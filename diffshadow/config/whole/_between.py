@@ -200,9 +200,12 @@ def fit_faults(config: Parts) -> Iterator[Conflict]:
 
 def data_faults_of_fit(data: Any) -> Iterator[Conflict]:
     """Faults that only a fit has, of a configuration or the unchecked data of one."""
-    parameters = value_at(data, "fit", "parameters", default={})
+    parameters = value_at(data, "fit", "parameters")
     if isinstance(parameters, Mapping):
         yield from parameter_faults(data, parameters)
+    if parameters == {} and value_at(data, "fit", "shape") is None:
+        mend = "add 'bias.constant: {lower: 0, upper: 10}'"
+        yield ("fit", "parameters"), fault("is empty", "at least one parameter to fit", mend)
 
 
 def _unused_in_layout(config: Parts) -> Iterator[Conflict]:
