@@ -11,7 +11,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from .._arithmetic import array_module, as_float, as_int, concrete, normalize
-from .._checks import check_instance, listed
+from .._checks import check_instance, counted, listed
 from .._padding import padded_to, shared_mesh_size
 from .._pictures import SIDE, as_html, draw_faces, is_known, lit
 from .._types import Faces, HostArray, Mat4, Vertices
@@ -188,7 +188,7 @@ class Mesh(eqx.Module):
         colours = lit(np.asarray(face_normals(self)), _FROM, face_colours(self))
         image = draw_faces(np.append(seen, np.ones((len(seen), 1)), axis=1), faces, colours, (SIDE, SIDE))
         size = " x ".join(f"{length:.3g}" for length in high - low)
-        return as_html(f"Mesh: {len(faces):,} triangles, {len(seen):,} vertices, {size} world units", image)
+        return as_html(f"Mesh: {counted(len(faces), 'triangle')}, {len(seen):,} vertices, {size} world units", image)
 
     def padded(self, to: tuple[int, int] | None = None) -> "Mesh":
         """The mesh with further faces that are points, which nothing sees, so that its arrays have one of few sizes:

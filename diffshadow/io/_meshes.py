@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from .._checks import counted
 from .._types import HostArray
 from ..geometry import Mesh, crease_normals, step_of, weld
 from ..settings.scene import GLTF_SUFFIXES
@@ -273,10 +274,5 @@ def _left_out(polygons: Polygons, tiny: int = 0) -> str:
         "face of fewer than three corners": int((polygons.sizes < 3).sum()),
         "triangle of a millionth of its extent": tiny,
     }
-    words = [f"{count} {name if count == 1 else _plural(name)}" for name, count in counts.items() if count]
+    words = [counted(count, name) for name, count in counts.items() if count]
     return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
-
-
-def _plural(name: str) -> str:
-    first, of, rest = name.partition(" of ")
-    return f"{first}{'es' if first.endswith('sh') else 's'}{of}{rest}"

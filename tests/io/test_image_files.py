@@ -178,9 +178,15 @@ def test_a_header_that_promises_too_much_is_refused_before_memory_is_taken(suffi
 
 
 def test_unknown_suffixes_are_refused(tmp_path):
-    (tmp_path / "a.jpg").write_bytes(b"")
-    for act in (lambda: read_visibility(tmp_path / "a.jpg"), lambda: write_visibility(tmp_path / "a.jpg", RAMP)):
-        with pytest.raises(FileError, match=r"is '\.jpg'; expected one of \.npy, \.png, \.exr"):
+    (tmp_path / "a.gif").write_bytes(b"")
+    for act, expected in (
+        (
+            lambda: read_visibility(tmp_path / "a.gif"),
+            r"is '\.gif'; expected one of \.npy, \.png, \.jpg, \.jpeg, \.exr",
+        ),
+        (lambda: write_visibility(tmp_path / "a.jpg", RAMP), r"is '\.jpg'; expected one of \.npy, \.png, \.exr"),
+    ):
+        with pytest.raises(FileError, match=expected):
             act()
 
 

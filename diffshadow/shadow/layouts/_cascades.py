@@ -11,6 +11,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from ..._arithmetic import as_float, as_number, as_numbers, concrete
+from ..._checks import counted
 from ..._types import AsOptional, AsOptionalScalars, AsScalar, Resolution, Scalar
 from ...geometry import AbstractCamera, AbstractLight, View
 from ...raster import SUBPIXELS, Surface
@@ -118,8 +119,8 @@ class Cascades(AbstractFittedLayout):
         given = None if any(each is None for each in known) else np.array(known, float)
         if len(shares) != self.count:
             raise ValueError(
-                f"the cascades have {len(shares)} shares, and their count is {self.count}; expected as many: give one "
-                "for each"
+                f"the cascades have {counted(len(shares), 'share')}, and their count is {self.count}; expected as "
+                "many: give one for each"
             )
         if not 0 < self.max_share <= 1:
             raise ValueError(f"the cascades' max_share is {self.max_share}; expected more than 0, and at most 1")

@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ... import io
+from ..._checks import counted
 from ...config import RECOMMENDED_FILE as RECOMMENDED
 from ...config import Advice, Config, fit_units, with_fitted
 from ...settings.fit import Loss
@@ -210,7 +211,7 @@ def _candidate(advice: Advice, each: _Fitted, times: Times) -> Candidate:
 def _over(config: Config) -> str:
     """What errors are measured over, in words."""
     unseen, seen = len(config.validation), len(config.views)
-    count = lambda n: f"{n} view{'' if n == 1 else 's'}"
+    count = lambda n: counted(n, "view")
     if unseen:
         return f"{count(unseen)} for validation"
     return f"the {count(seen)} that the fit sees" if seen else "the scene"

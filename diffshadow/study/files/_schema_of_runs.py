@@ -338,6 +338,7 @@ class _ShapePhase(Part):
 
 class Shape(Run):
     kind: Literal["shape"]
+    verdict: _Verdict | None = None
     seed: Seed
     command: str
     metrics: _ShapeMetrics

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ... import io
-from ..._checks import text_within
+from ..._checks import counted, text_within
 from ..._types import HostArray
 from ...shading import to_srgb
 from .. import style
@@ -67,12 +67,12 @@ def report_picture(folder: Path, form: str | None = None, dpi: int | None = None
 def _summary(result: Mapping[str, Any]) -> list[str]:
     """The verdict on the fit, sentence by sentence, and what its errors are of."""
     before, after = (result["metrics"][state]["rmse"] for state in PICTURE_STATES[1:])
-    fell = f"The picture's error went from {before:.4f} to {after:.4f} RMSE, in {result['steps']} steps."
+    fell = f"The picture's error went from {before:.4f} to {after:.4f} RMSE, in {counted(result['steps'], 'step')}."
     colours = "sRGB" if result["encoding"] == "srgb" else "linear"
     return [
         # An older run has no verdict.
         *(sentences_of(result) or [fell]),
-        f"Errors are of {colours} colours, over {result['metrics']['pixels']:,} pixels.",
+        f"Errors are of {colours} colours, over {counted(result['metrics']['pixels'], 'pixel')}.",
     ]
 
 

@@ -11,8 +11,7 @@ STILL_FALLING = 0.25
 every step, as pixels switch between lit and shadowed."""
 # Up to this one, the last phase of a fit of a technique counts as done: its error fell by no more than half as much.
 _NEARLY_DONE = 0.01
-# Of fewer evaluations of the loss, a decrease does not tell whether more would follow: solvers begin with steps that they
-# reject.
+# Of fewer evaluations of the loss, a decrease does not tell whether more would follow: solvers reject some first steps.
 _FEW = 5
 # Values of the solver within this part of the distance between the bounds from the start are the start.
 _NO_MOVE = 1e-5

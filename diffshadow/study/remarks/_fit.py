@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 
-from ..._checks import text_within
+from ..._checks import counted, plural, text_within
 from ...config import Config, FitPlan, is_limit
 from ...fit import FitResult, Outcome, Parameter
 from ..pages._table import UNEXPLAINED
@@ -69,7 +69,7 @@ def _few_points(plan: FitPlan, result: FitResult) -> Iterator[str]:
     count = len(result.front)
     if count < plan.front:
         yield (
-            f"fit.front is {plan.front}, and the front has {count} point{'' if count == 1 else 's'}: no other settings "
+            f"fit.front is {plan.front}, and the front has {counted(count, 'point')}: no other settings "
             "were found whose errors differ from theirs and whose weighted sum is the least for some weights"
         )
 
@@ -115,7 +115,8 @@ def _by(decrease: float, steps: int) -> str:
 
 
 def _named(phase: Outcome) -> str:
-    return f"width {phase.width:.3g} texels" if phase.width else f"blur {phase.blur:.3g} pixels"
+    value, unit = (phase.width, "texel") if phase.width else (phase.blur, "pixel")
+    return f"{'width' if phase.width else 'blur'} {value:.3g} {unit if value == 1 else plural(unit)}"
 
 
 def _flat(config: Config | None, name: str) -> str:

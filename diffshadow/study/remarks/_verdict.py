@@ -5,6 +5,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from ..._checks import counted
 from ...config import Config, FitPlan
 from ...fit import FitResult
 from ..pages._table import UNEXPLAINED
@@ -104,16 +105,16 @@ def verdict(
         # Of another loss, or by preference.
         return Verdict(
             "fitted",
-            f"fitting {names} changed the RMSE from {before:.4f} to {after:.4f} in {result.steps} steps; the fit's own "
-            f"loss fell from {result.errors[0] ** 2:.3g} to {result.errors[1] ** 2:.3g}",
+            f"fitting {names} changed the RMSE from {before:.4f} to {after:.4f} in {counted(result.steps, 'step')}; "
+            f"the fit's own loss fell from {result.errors[0] ** 2:.3g} to {result.errors[1] ** 2:.3g}",
         )
     whose = "picture's" if what_is_fitted(result) == "picture" else "shadow's"
     factor = before / max(after, 1e-12)
     by = f"a factor of {factor:.1f}" if factor >= _MUCH_BETTER else f"{100 * (1 - 1 / factor):.1f} %"
     return Verdict(
         "fitted",
-        f"fitting {names} reduced the {whose} error from {before:.4f} to {after:.4f} RMSE, by {by}, in {result.steps} "
-        "steps",
+        f"fitting {names} reduced the {whose} error from {before:.4f} to {after:.4f} RMSE, by {by}, in "
+        f"{counted(result.steps, 'step')}",
     )
 
 
@@ -132,7 +133,7 @@ def _was_best(plan: FitPlan, result: FitResult) -> bool:
 
 
 def _cut_short(result: FitResult, before: float, after: float) -> str:
-    steps = f"{result.steps} step{'' if result.steps == 1 else 's'}"
+    steps = counted(result.steps, "step")
     error = f"stayed at {before:.4f}" if before == after else f"went from {before:.4f} to {after:.4f}"
     return f"the fit ended before it converged: its RMSE {error} in {steps}, and more steps may find better values"
 

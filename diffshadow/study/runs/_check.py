@@ -100,4 +100,5 @@ def _check_shape(config: Config, console: Console) -> Checked:
     with Stages(console) as stages:
         plan, problem, _ = shape_problem(config, stages)
         fit.check_shape(problem, plan.phases)
+    table.print_lines(console, plan.remarks, warn=True)
     return Checked(plan.start.faces.shape[0])

@@ -11,6 +11,7 @@ from rich.table import Table
 
 from ... import fit, geometry, io, metrics, raster
 from ..._arithmetic import as_float
+from ..._checks import counted
 from ..._types import HostArray
 from ...config import Config, ConfigError, FitPlan, Mistake, build_shadow_mapping
 from ...settings.reference import Encoding, PictureReference
@@ -186,9 +187,7 @@ def _finished(
     left = Unexplained(after, constant) if after >= constant > 0 else None
     said = verdict(config, plan, result, before, after, left)
     messages = [*of_scene, *remarks(config, plan, result, said.kind)]
-    return FittedPicture(
-        name, config, plan, result, pictures, mask, problem.encoding, placed, measured, said, messages
-    )
+    return FittedPicture(name, config, plan, result, pictures, mask, problem.encoding, placed, measured, said, messages)
 
 
 def _measured(
@@ -272,7 +271,7 @@ def _print(console: Console, fitted: FittedPicture, seconds: float) -> None:
     console.print(errors)
     poses.print_poses(console, fitted.plan, fitted.result)
     table.print_lines(console, fitted.remarks, warn=True)
-    table.print_lines(console, [f"{fitted.result.steps} steps, {seconds:.1f} s in all"])
+    table.print_lines(console, [f"{counted(fitted.result.steps, 'step')}, {seconds:.1f} s in all"])
 
 
 def _with_spare_depth(config: Config, scene: geometry.Scene) -> geometry.Scene:

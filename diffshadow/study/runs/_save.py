@@ -9,7 +9,7 @@ import numpy as np
 from rich.console import Console
 
 from ... import fit, reference
-from ..._checks import check_instance
+from ..._checks import check_instance, counted
 from ...config import FitPlan
 from .._drawn import Drawn
 from ..files._run_folder import checked_folder
@@ -57,8 +57,9 @@ def save_fit(result: fit.FitResult, folder: str | os.PathLike[str], *, names: Se
     if len(shapes) != 1 or not result.parameters:
         listed = " and ".join(f"{height} x {width}" for height, width in shapes) or "no"
         raise ValueError(
-            f"the fit has images of {listed} pixels, (height x width), and {len(result.parameters)} parameters; "
-            "expected images of one size, and what fit.fit returned: save one fit for each size"
+            f"the fit has images of {listed} pixels, (height x width), and "
+            f"{counted(len(result.parameters), 'parameter')}; expected images of one size, "
+            "and what fit.fit returned: save one fit for each size"
         )
     stages = Stages(Console(quiet=True))
     stages.seconds |= {"compiling": result.seconds_compiling, "fitting": result.seconds_running}

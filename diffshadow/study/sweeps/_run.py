@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ... import io
+from ..._checks import counted
 from ...config import LABEL, Sweep, SweepRun, describe
 from ..files._run_folder import RESULT, folder_of, remove, write_whole
 from ..files._schema import as_stored, write_json
@@ -174,7 +175,7 @@ def print_plan(console: Console, sweep: Sweep, limit: int | None = None, suffix:
         missing = missing_runs(sweep, folder)
         unique = len({sweep.runs.id(index) for index in range(count)})
         number = len(missing[:limit])
-        message = f"{count:,} runs; {unique - len(missing):,} are done; {number:,} would be done now"
+        message = f"{counted(count, 'run')}; {unique - len(missing):,} are done; {number:,} would be done now"
     else:
         missing = range(count)
         message = f"{count:,} runs, too many to check each of them here; {_results_in(folder)}"
@@ -190,7 +191,7 @@ def print_plan(console: Console, sweep: Sweep, limit: int | None = None, suffix:
 def _results_in(folder: Path) -> str:
     runs = folder / RUNS
     count = sum(not entry.name.startswith(".") for entry in os.scandir(runs)) if runs.is_dir() else 0
-    return f"{folder} has {count:,} folders of runs"
+    return f"{folder} has {counted(count, 'folder')} of runs"
 
 
 def _shown(value: Any) -> str:
@@ -372,7 +373,8 @@ def _print(console: Console, sweep: Sweep, results: pa.Table, curves: Sequence[C
 
 def _summary(sweep: Sweep, counts: Mapping[str, int], tried: int) -> list[str]:
     lines = [
-        f"{counts.get(OK, 0):,} of {len(sweep.runs):,} runs are done, {tried:,} of them tried now; all are in {RESULTS}"
+        f"{counts.get(OK, 0):,} of {counted(len(sweep.runs), 'run')} {'is' if len(sweep.runs) == 1 else 'are'} done, "
+        f"{tried:,} of them tried now; all are in {RESULTS}"
     ]
     if counts.get(MISSING, 0):
         lines.append("run the same command again to do the rest")
@@ -385,6 +387,6 @@ def failures(results: pa.Table) -> list[str]:
     if not len(errors):
         return []
     first, kinds = errors[0].as_py(), len(errors.unique())
-    more = f", and {kinds - 1} other errors" if kinds > 1 else ""
+    more = f", and {counted(kinds - 1, 'other error')}" if kinds > 1 else ""
     first = "; ".join(first.splitlines())
-    return [f"{len(errors):,} runs failed; the same command tries them again: {first}{more}"]
+    return [f"{counted(len(errors), 'run')} failed; the same command tries them again: {first}{more}"]
