@@ -1,5 +1,8 @@
 """Runs of fits of shapes: their folder, page and checkpoint, and mistakes of their configurations."""
 
+import errno
+import os
+
 import jax
 import numpy as np
 import pytest
@@ -121,6 +124,30 @@ def test_lights_start_as_far_off_as_asked():
     cosine = places[0] @ places[1] / np.prod(np.linalg.norm(places, axis=1))
     assert np.degrees(np.arccos(cosine)) == pytest.approx(5, abs=0.01)
     assert still is plan.seen[2].light
+
+
+def test_a_checkpoint_that_does_not_fit_on_the_disk_keeps_the_last_one(tmp_path, monkeypatch):
+    def state(step):
+        shape = {name: np.zeros((step, 3)) for name in ("vertices", "faces", "free", "u", "mean", "square")}
+        best = {name: np.zeros((1, 3)) for name in ("best_vertices", "best_faces", "lights", "light_mean")}
+        rest = {"light_square": np.zeros(1), "best_lights": np.zeros(1), "losses": (), "crossings": 9}
+        return fit.ShapeState(**shape, **best, **rest, phase=0, step=step, history=((0, 0.1),) * step)
+
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    checkpoint = Checkpoint(config(), tmp_path / "tiny")
+    checkpoint.write(state(2))
+    monkeypatch.setattr(np, "savez", full)
+    for again in (checkpoint, Checkpoint(config(), tmp_path / "tiny")):
+        assert again is checkpoint or again.read() is not None
+        with pytest.raises(io.FileError) as caught:
+            again.write(state(3))
+        assert str(caught.value).startswith(f"cannot write {checkpoint.file}: No space left on device")
+        assert str(caught.value).endswith("; the fit then goes on after step 2, which is kept")
+    kept = checkpoint.read()
+    assert kept is not None
+    assert kept.step == 2
 
 
 def test_damaged_checkpoints_are_ignored(tmp_path):

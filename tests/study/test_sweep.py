@@ -1,6 +1,7 @@
 """Sweeps: from a section of the configuration to runs, tables and a figure, however often they are cut short."""
 
 import contextlib
+import errno
 import gc
 import importlib
 import io as text_io
@@ -22,7 +23,7 @@ import pytest
 from rich.console import Console
 from scenes import compiled_programs, staying_in
 
-from diffshadow import study
+from diffshadow import io, study
 from diffshadow.config import Config, ConfigError, SweepConfig, load_config, load_sweep
 from diffshadow.config.reading._axes import levels_of
 from diffshadow.config.reading._load import parse_draft
@@ -107,6 +108,45 @@ def test_axes_nest_in_their_order_and_the_last_changes_first():
     assert config.sweep is None
     with pytest.raises(ValueError, match="frozen"):
         config.seed = 1
+
+
+@pytest.mark.parametrize("place", ["runs", "results.parquet"])
+def test_a_full_disk_is_one_error_that_says_what_is_kept(place, monkeypatch):
+    """Whether a run or a table does not fit: with its path, and how many runs need not be done again."""
+    sweep, written = sweep_of("{grid: {filter.radius: [1, 2]}, repeats: 2}"), []
+    original_bytes, original_open = Path.write_bytes, Path.open
+
+    def full():
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    def write_bytes(path, content):
+        if place == "runs" and path.name == "result.json" and path.parent.parent.name == "runs":
+            written.append(path)
+            if len(written) > 3:
+                full()
+        return original_bytes(path, content)
+
+    def opened(path, *mode, **how):
+        return full() if path.suffix == ".parquet" and "w" in "".join(mode) else original_open(path, *mode, **how)
+
+    monkeypatch.setattr(Path, "write_bytes", write_bytes)
+    if place != "runs":
+        monkeypatch.setattr(Path, "open", opened)
+    with pytest.raises(io.FileError) as caught:
+        run(sweep)
+    said = str(caught.value)
+    assert said.startswith(f"cannot write {Path('runs/t-sweep').absolute() / place}")
+    assert "No space left on device; expected free space there" in said
+    kept = "3 of 4 runs are kept in" if place == "runs" else "4 of 4 runs are kept in"
+    assert f"{kept} {Path('runs/t-sweep').absolute()}, and not done again" in said
+    # No run is to blame.
+    assert all(run_of["status"] == "ok" for run_of in map(_outcome_of, Path("runs/t-sweep/runs").iterdir()))
+    monkeypatch.undo()
+    assert f"4 of 4 runs are done, {1 if place == 'runs' else 0} of them tried now" in run(sweep)[1]
+
+
+def _outcome_of(folder: Path):
+    return json.loads((folder / "result.json").read_text())
 
 
 def test_whole_sections_and_their_keys_can_be_set_in_turn():
@@ -794,7 +834,7 @@ import sys
 import time
 from pathlib import Path
 from rich.console import Console
-from diffshadow import study
+from diffshadow import io, study
 from diffshadow.config import load_sweep
 from diffshadow.study.sweeps import _work as sweep_work
 

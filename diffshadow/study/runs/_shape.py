@@ -106,7 +106,7 @@ def shape_problem(config: Config, stages: Stages | None = None) -> tuple[ShapePl
 def fit_configured_shape(config: Config, stages: Stages, checkpoint: Checkpoint) -> FittedShapeRun:
     """Fits the shape of `config`.
 
-    **Raises** `ConfigError` for a mistake in the configuration.
+    **Raises** `ConfigError` for a mistake in the configuration; `FileError` if no space is left for the checkpoint.
     """
     plan, problem, targets = shape_problem(config, stages)
     kept: list[tuple[HostArray, HostArray]] = [(np.asarray(plan.start.vertices), np.asarray(plan.start.faces))]
@@ -114,6 +114,9 @@ def fit_configured_shape(config: Config, stages: Stages, checkpoint: Checkpoint)
         try:
             watch = _watch(stages, plan, checkpoint, kept)
             result = fit.fit_shape(problem, plan.phases, on_step=watch, resume=checkpoint.read())
+        except io.FileError:
+            # Of the checkpoint.
+            raise
         except ValueError as error:
             raise _error(config, str(error)) from error
     with stages.stage("tracing result"):

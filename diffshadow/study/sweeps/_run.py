@@ -75,7 +75,7 @@ def run_sweep(
     **Returns** the folder, `<output>/<name>-sweep`.
 
     **Raises** `ValueError` if another process is doing the sweep in this folder, or the scheduler cannot be reached;
-    `ConfigError` if the folder cannot be written.
+    `ConfigError` if the folder cannot be written; `FileError` if no space is left on its disk.
     """
     folder = folder_of(sweep.runs[0].config, SUFFIX).absolute()
     with doing(folder, sweep, SWEEP, console, scheduler, workers, limit) as (tables, tried):
@@ -111,7 +111,7 @@ def doing(
     do the sweep.
     """
     _begin(folder, sweep, kind)
-    with _alone(folder):
+    with _alone(folder), _saying_what_is_kept(folder, sweep):
         _remove_drafts(folder)
         with counting(console, "looking for results", len(sweep.runs)) as progress:
             todo = missing_runs(sweep, folder, progress)[:limit]
@@ -208,6 +208,25 @@ def _begin(folder: Path, sweep: Sweep, kind: str) -> None:
         write_whole(folder, lambda draft: write_record(draft, record_of(sweep, kind, {})))
     io.check_writable(folder / RUNS)
     (folder / RUNS).mkdir(exist_ok=True)
+
+
+@contextlib.contextmanager
+def _saying_what_is_kept(folder: Path, sweep: Sweep) -> Iterator[None]:
+    """**Raises** `FullDiskError` that says how many runs are kept if no space is left."""
+    try:
+        yield
+    except Exception as error:
+        if not io.is_full_disk(error):
+            raise
+        # Drafts and programs that could not be written are gone.
+        unique = len({sweep.runs.id(index) for index in range(len(sweep.runs))})
+        kept = unique - len(missing_runs(sweep, folder))
+        # Something other than a run's folder may have been full, such as the folder for temporary files.
+        said = str(error) if isinstance(error, io.FileError) else f"cannot write for the sweep in {folder}: {error}"
+        raise io.FullDiskError(
+            f"{said}; {kept:,} of {counted(unique, 'run')} {'is' if kept == 1 else 'are'} kept in {folder}, and not "
+            "done again"
+        ) from error
 
 
 @contextlib.contextmanager
