@@ -66,7 +66,7 @@ def run_sweep(
 
     - `sweep`: the sweep.
     - `console`: where results are printed.
-    - `scheduler`: address of a Dask scheduler, whose workers have this version of the package. They need not see the
+    - `scheduler`: address of a Dask scheduler, whose workers have this code of the package. They need not see the
         same files. By default local workers are started. They import the calling script, which must do its work under
         `if __name__ == "__main__"`.
     - `workers`: number of local worker processes; by default one per core. With 0, the runs are done in this process.
@@ -265,7 +265,7 @@ def _work(
     useful = len(todo) if sweep.settings.run == "fit" else -(-len(todo) // _BATCH)
     with (
         counting(console, sweep.name, len(todo)) as progress,
-        pool(scheduler, workers, useful) as where,
+        pool(scheduler, workers, useful, lambda text: table.print_lines(console, [text])) as where,
     ):
         if pace is not None:
             pace.begin(len(todo), where.workers)
