@@ -29,6 +29,7 @@ from diffshadow.config.reading._axes import levels_of
 from diffshadow.config.reading._load import parse_draft
 from diffshadow.metrics import flicker
 from diffshadow.settings import rules
+from diffshadow.study.remarks._layout import frames_remarks
 from diffshadow.study.sweeps._curves import curves_of
 from diffshadow.study.sweeps._run import missing_runs
 from diffshadow.study.sweeps._work import drawing_of
@@ -147,6 +148,33 @@ def test_a_full_disk_is_one_error_that_says_what_is_kept(place, monkeypatch):
 
 def _outcome_of(folder: Path):
     return json.loads((folder / "result.json").read_text())
+
+
+CASCADES = "technique={type: cascades, count: 2, depths: camera}"
+NEAR_FAR = ("scene.camera.near=0.5", "scene.camera.far=9")
+
+
+@pytest.mark.parametrize(
+    ("overrides", "said"),
+    [
+        ([CASCADES], "scene.camera.near and scene.camera.far are found for each frame anew"),
+        ([CASCADES, "technique.shadow_distance=5"], "scene.camera.near is found for each frame anew"),
+        ([CASCADES, *NEAR_FAR], None),
+        ([CASCADES, "technique.stabilize=false"], None),
+        ([], None),
+    ],
+)
+def test_cascades_that_are_not_stable_from_frame_to_frame_are_remarked_on(overrides, said):
+    moving = "{grid: {filter.radius: [1, 2]}, flicker: {count: 2, through: {AXIS: [0, 20]}}}"
+    of_camera, of_light = (
+        sweep_of(moving.replace("AXIS", axis), *overrides)
+        for axis in ("scene.camera.orbit.azimuth", "scene.light.azimuth")
+    )
+    remarks = list(frames_remarks(of_camera.runs[0].frames))
+    assert len(remarks) == (said is not None)
+    assert all(said in remark for remark in remarks)
+    # Near and far do not follow the light.
+    assert list(frames_remarks(of_light.runs[0].frames)) == []
 
 
 def test_whole_sections_and_their_keys_can_be_set_in_turn():

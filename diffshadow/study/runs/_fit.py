@@ -107,7 +107,7 @@ def fit_technique(config: Config, stages: Stages, on_step: Callable[[fit.Step], 
     said = verdict(config, plan, result, of_seen(errors_before)["rmse"], of_seen(errors_after)["rmse"], left)
     messages = [
         *views.remarks,
-        *layout_remarks(technique, drawn),
+        *layout_remarks(technique, [each.key for each in drawn], [each.state for each in drawn]),
         *(reference_remarks(config, drawn) if len(views.all) == 1 else []),
         *remarks(config, plan, result, said.kind),
     ]

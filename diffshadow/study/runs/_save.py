@@ -101,7 +101,8 @@ def _measured(
     left = unexplained(fitted_images(views, drawn, after, seen[1], result))
     at_first, at_last = (record.combined(errors, drawn)["rmse"] for errors in (errors_before, errors_after))
     said = verdict(None, plan, result, at_first, at_last, left)
-    messages = [*layout_remarks(result.technique, drawn), *remarks(None, plan, result, said.kind)]
+    of_layout = layout_remarks(result.technique, [each.key for each in drawn], [each.state for each in drawn])
+    messages = [*of_layout, *remarks(None, plan, result, said.kind)]
     errors = errors_before, errors_after
     has_scene = all(each.scene is not None for each in drawn)
     return FittedRun(name, None, plan, views, drawn, result, before, after, *errors, messages, seen, said, has_scene)

@@ -23,6 +23,7 @@ from ..files._run_folder import RESULT, folder_of, remove, write_whole
 from ..files._schema import as_stored, write_json
 from ..files._stored import SWEEP
 from ..pages import _table as table
+from ..remarks._layout import frames_remarks
 from ..runs import _record as record
 from ..runs._progress import counting
 from ._curves import Curve, columns_for, curves_of
@@ -80,6 +81,7 @@ def run_sweep(
     folder = folder_of(sweep.runs[0].config, SUFFIX).absolute()
     with doing(folder, sweep, SWEEP, console, scheduler, workers, limit) as (tables, tried):
         curves, remarks = _plotted(folder, sweep, tables.results)
+        remarks += _remarks_on_frames(sweep)
         counts = counts_of(tables.results)
         write_record(folder, record_of(sweep, SWEEP, counts))
         report_sweep(folder)
@@ -326,6 +328,14 @@ def _plotted(folder: Path, sweep: Sweep, results: pa.Table) -> tuple[list[Curve]
     with io.atomic_path(folder / PLOT) as temporary:
         write_plot(temporary, curves, plot, describe(sweep.runs[0].config))
     return curves, []
+
+
+def _remarks_on_frames(sweep: Sweep) -> list[str]:
+    """Remarks on the frames of runs that measure flicker, of the first runs."""
+    if sweep.settings.flicker is None:
+        return []
+    some = sweep.runs.at(range(min(len(sweep.runs), _MAX_SHOWN)))
+    return list(dict.fromkeys(remark for run in some if run.frames for remark in frames_remarks(run.frames)))
 
 
 def counts_of(results: pa.Table) -> dict[str, int]:
