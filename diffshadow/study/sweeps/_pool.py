@@ -40,6 +40,9 @@ _ANSWER_TIMEOUT = 60
 _WORKERS_TIMEOUT, _SAID_AFTER = 120, 10
 # So many workers may die as they join, before any work is done, until that is an error.
 _DEATHS = 3
+# What a worker evaluates. A function of this package would end a worker that cannot import it, without a reason that
+# reaches this process. Nor need a scheduler have this package.
+_WORK_APART = "__import__('importlib').import_module(module).work_apart(*arguments)"
 # Batches per worker that are submitted at once: enough to keep workers busy, few enough for sweeps of a million runs.
 _BATCHES_AHEAD = 4
 
@@ -111,8 +114,8 @@ class OnCluster:
         def submit(batch: Batch) -> None:
             task: tuple[Any, ...] = (_work_in_worker, batch)
             if self._sender is not None:
-                # Plain values, since a scheduler need not have this package.
-                task = work_apart, tuple(own_code()), *self._sender.of(batch)
+                arguments = tuple(own_code()), *self._sender.of(batch)
+                task = eval, _WORK_APART, {"module": work_apart.__module__, "arguments": arguments}
             future = self._client.submit(*task, key=f"diffshadow-{uuid.uuid4().hex}", pure=False)
             waiting[future] = batch
             finished.add(future)
