@@ -35,6 +35,7 @@ from ._verdict import Findings, verdict
 SUFFIX = "-advise"
 """The suffix of the folder of a recommendation."""
 _MEASURED = "measured.json"
+_COMPILING = "compiling them once more, to time them,"
 
 
 class _Fitted(NamedTuple):
@@ -72,7 +73,7 @@ def run_advise(advice: Advice, *, console: Console, scheduler: str | None = None
             raise ValueError(f"no technique could be fitted, so none can be recommended: {'; '.join(problems)}")
         steps = steps_of([each.config for each in fitted])
         with counting(console, "timing", steps) as progress:
-            times, load = _times(folder, fitted, saying_how_long(console, "timing them", steps, progress))
+            times, load = _times(folder, fitted, saying_how_long(console, _COMPILING, len(fitted), progress))
         if load.remark is not None:
             problems.append(f"{load.remark}; to time them again, remove {folder / _MEASURED} and repeat the command")
         candidates = [_candidate(advice, each, time) for each, time in zip(fitted, times, strict=True)]

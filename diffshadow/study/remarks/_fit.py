@@ -88,7 +88,8 @@ def _unconverged(result: FitResult, more: str) -> Iterator[str]:
         mend = f": {more}" if last.result == CUT_SHORT else ""
         which = "the phase that gave the result" if result.chosen >= 0 else "its last phase, and no phase ended better"
         yield f"the solver did not converge in {which} ({_named(last)}): {last.result}{still}{mend}"
-    for earlier, phase in enumerate(result.phases[:number]):
+    # Where no phase led to the result, none came before it.
+    for earlier, phase in enumerate(result.phases[: max(result.chosen, 0)]):
         if phase.result != CUT_SHORT:
             continue
         fall = late_fall(result, earlier)
