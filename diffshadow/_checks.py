@@ -221,19 +221,6 @@ def text_within(value: float, lower: float, upper: float, digits: int = 4) -> st
     return f"{value:.{digits + (math.ceil(math.log10(beyond)) if beyond > 1 else 0)}g}"
 
 
-def plural(noun: str) -> str:
-    """A noun of regular form in the plural; what follows " of " stays."""
-    first, of, rest = noun.partition(" of ")
-    if first.endswith("y") and first[-2:-1] not in "aeiou":
-        return f"{first[:-1]}ies{of}{rest}"
-    return f"{first}{'es' if first.endswith(('sh', 'ch', 's', 'x')) else 's'}{of}{rest}"
-
-
-def counted(count: int, noun: str) -> str:
-    """A number of things in words, such as "1 entry" or "1,024 entries"."""
-    return f"{count:,} {noun if count == 1 else plural(noun)}"
-
-
 def listed(values: Any) -> str:
     """`values` as text, without the digits that single precision does not have."""
     return str([float(f"{value:.7g}") for value in np.ravel(values)])

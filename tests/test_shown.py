@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 from diffshadow import fit, geometry, raster, reference, shadow
-from diffshadow._checks import counted
+from diffshadow._words import counted
 
 CAMERA = geometry.PinholeCamera((2.0, 2.0, 3.0), (0.0, 0.3, 0.0), near=0.1, far=20.0, resolution=(24, 32))
 # The floor reaches behind the camera.

@@ -5,7 +5,7 @@ from pathlib import Path
 from rich.table import Table
 from rich.text import Text
 
-from .._checks import counted
+from .._words import counted
 from ..config import DEFAULT_TEMPLATE, describe, printable, write_template
 from ..console import Console
 from ._app import app, loaded, print_notes, print_path

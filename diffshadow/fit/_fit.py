@@ -8,9 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .._arithmetic import as_float
-from .._checks import check_instance, counted
+from .._checks import check_instance
 from .._pictures import as_html
 from .._progress import Update, showing
+from .._words import counted
 from ..shadow import FittableTechnique
 from ._anneal import Anneal
 from ._arrangement import Arrangement

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from .._checks import counted
 from .._types import HostArray
+from .._words import counted
 from ..settings.scene import PIECES
 from ._mesh import Mesh
 from ._normals import crease_normals

@@ -11,10 +11,11 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from .._arithmetic import array_module, as_float, as_int, concrete, normalize
-from .._checks import check_instance, counted, listed
+from .._checks import check_instance, listed
 from .._padding import padded_to, shared_mesh_size
 from .._pictures import SIDE, as_html, draw_faces, is_known, lit
 from .._types import Faces, HostArray, Mat4, Vertices
+from .._words import counted
 from ..settings import Setting
 from ..settings.quantities import Fraction
 from ._textures import Textures, merged

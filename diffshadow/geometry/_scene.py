@@ -10,9 +10,10 @@ import numpy as np
 from jaxtyping import Bool
 
 from .._arithmetic import as_float, concrete
-from .._checks import check_instance, counted, shown_with_values
+from .._checks import check_instance, shown_with_values
 from .._pictures import SIDE, as_html, draw_faces, is_known, lit
 from .._types import HostArray
+from .._words import counted
 from ._camera import AbstractCamera
 from ._mesh import Mesh, MeshLike, as_mesh, face_colours, face_normals, merge, meshes_of
 from ._origin import WORLD, Origin, PrecisionWarning, as_origin, origin_of, step_of

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from .._checks import counted
 from .._types import HostArray
+from .._words import counted
 from ..geometry import Mesh, crease_normals, step_of, weld
 from ..settings.scene import GLTF_SUFFIXES
 from ._errors import FileError, MeshError, MeshWarning, damaged

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._checks import CheckedModule, counted
+from .._checks import CheckedModule
 from .._types import VectorMap, Visibility
+from .._words import counted
 from ..geometry import AbstractCamera, AbstractLight
 from ..raster import AntialiasedSurface, Surface
 

@@ -15,8 +15,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._arithmetic import as_number, dot, normalize, safe_norm
-from .._checks import CheckedModule, counted
+from .._checks import CheckedModule
 from .._types import AsScalar, VectorMap
+from .._words import counted
 from ..geometry import AbstractCamera, AbstractLight
 from ..raster import Surface
 from ..settings import shading

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 from pydantic_core import PydanticCustomError
 
-from ..._checks import counted
+from ..._words import counted
 from ...settings import Limits, Setting, shading
 from ...settings.quantities import Coordinate, Distance, Factor, Fraction, HalfAngle, Turn, WorldUnits
 from ...settings.reference import PictureReference

@@ -4,7 +4,7 @@ import itertools
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any
 
-from ..._checks import counted
+from ..._words import counted
 from ...settings import engines, maps, techniques
 from ...settings.techniques import MAX_ACROSS
 from ._section import Conflict, Section, Variants, exclusive, fault

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any, get_args
 
-from ..._checks import counted
+from ..._words import counted
 from ...settings.engines import BabylonJs, Engine, ThreeJs
 from ...settings.filters import PercentageCloserSoft
 from ...settings.fit import widest_blur

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..._arithmetic import as_numbers, concrete
-from ..._checks import counted
 from ..._types import Scalar
+from ..._words import counted
 from ...settings.biases import Bias as Settings
 from .._receiver import Receiver
 from ._abstract import AbstractBias, BiasTerms

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..._arithmetic import as_array, as_float
-from ..._checks import counted
 from ..._types import HostArray, Resolution, Scalar
+from ..._words import counted
 from ...geometry import AbstractLight, Mesh, PointLight, Scene, Textures, View, merge, perspective
 from ...raster import Surface, at_steps, rasterize_depth
 from ...settings.engines import Side

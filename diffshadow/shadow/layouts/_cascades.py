@@ -11,8 +11,8 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from ..._arithmetic import as_float, as_number, as_numbers, concrete
-from ..._checks import counted
 from ..._types import AsOptional, AsOptionalScalars, AsScalar, Resolution, Scalar
+from ..._words import counted
 from ...geometry import AbstractCamera, AbstractLight, View
 from ...raster import SUBPIXELS, Surface
 from ...settings.quantities import MAX_TEXELS

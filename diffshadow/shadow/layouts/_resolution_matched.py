@@ -10,8 +10,8 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from ..._arithmetic import as_float, as_number, dot, normalize
-from ..._checks import counted
 from ..._types import AsOptional, AsScalar, Mask, Resolution, Scalar
+from ..._words import counted
 from ...geometry import AbstractCamera, AbstractLight, Pages, cell_of, finest_of, side_of
 from ...raster import Surface
 from ...settings.techniques import MAX_ACROSS, MAX_LEVEL_BIAS, LevelNorm

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ... import io
-from ..._checks import counted
+from ..._words import counted
 from ...config import RECOMMENDED_FILE as RECOMMENDED
 from ...config import Advice, Config, fit_units, with_fitted
 from ...settings.fit import Loss

@@ -9,8 +9,8 @@ from rich.console import Console
 
 from ... import fit
 from ..._arithmetic import as_float
-from ..._checks import counted
 from ..._types import HostArray
+from ..._words import counted
 from ...config import Config, build_technique, fit_paths, fit_units
 from .._drawn import Drawn
 from ..pages import _table as table

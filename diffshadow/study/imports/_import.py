@@ -13,7 +13,7 @@ import numpy as np
 from rich.console import Console
 
 from ... import geometry, io
-from ..._checks import counted
+from ..._words import counted
 from ...config import ConfigError, Location, Mistake, dump, parse_config
 from ...settings.engines import ImportedTechnique, ShadowType, ThreeJs
 from ..pages import _table as table

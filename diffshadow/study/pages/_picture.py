@@ -8,8 +8,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ... import io
-from ..._checks import counted, text_within
+from ..._checks import text_within
 from ..._types import HostArray
+from ..._words import counted
 from ...shading import to_srgb
 from .. import style
 from ..files._stored import ARRAYS, PICTURE_STATES, REPORT, read_result

@@ -8,7 +8,8 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from ..._checks import counted, text_within
+from ..._checks import text_within
+from ..._words import counted
 from ...config import printable
 from ...fit import FrontPoint, Parameter, Profile
 from ...shadow import EngineSetting

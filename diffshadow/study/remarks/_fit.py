@@ -2,7 +2,8 @@
 
 from collections.abc import Iterator, Sequence
 
-from ..._checks import counted, plural, text_within
+from ..._checks import text_within
+from ..._words import counted, plural
 from ...config import Config, FitPlan, is_limit
 from ...fit import FitResult, Outcome, Parameter
 from ..pages._table import UNEXPLAINED

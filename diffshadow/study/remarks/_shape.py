@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ..._checks import counted
+from ..._words import counted
 from ...fit import FittedShape
 from ._course import STILL_FALLING
 from ._verdict import BEST_ALREADY, Verdict

@@ -5,7 +5,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from ..._checks import counted
+from ..._words import counted
 from ...config import Config, FitPlan
 from ...fit import FitResult
 from ..pages._table import UNEXPLAINED

@@ -9,7 +9,7 @@ from rich.console import Console
 
 from ... import fit, shadow
 from ..._arithmetic import as_array, as_float
-from ..._checks import counted
+from ..._words import counted
 from ...config import Config, build_fittable
 from .._drawn import Drawn
 from ..files._run_folder import folder_of

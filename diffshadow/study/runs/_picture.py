@@ -11,8 +11,8 @@ from rich.table import Table
 
 from ... import fit, geometry, io, metrics, raster
 from ..._arithmetic import as_float
-from ..._checks import counted
 from ..._types import HostArray
+from ..._words import counted
 from ...config import Config, ConfigError, FitPlan, Mistake, build_shadow_mapping
 from ...settings.reference import Encoding, PictureReference
 from ...shading import AbstractShading, to_srgb

@@ -9,7 +9,8 @@ import numpy as np
 from rich.console import Console
 
 from ... import fit, reference
-from ..._checks import check_instance, counted
+from ..._checks import check_instance
+from ..._words import counted
 from ...config import FitPlan
 from .._drawn import Drawn
 from ..files._run_folder import checked_folder

@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ... import io
-from ..._checks import counted
+from ..._words import counted
 from ...config import LABEL, Sweep, SweepRun, describe
 from ..files._run_folder import RESULT, folder_of, remove, write_whole
 from ..files._schema import as_stored, write_json
