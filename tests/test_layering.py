@@ -15,7 +15,18 @@ PACKAGE = "diffshadow"
 ROOT = Path(__file__).parent.parent / PACKAGE
 
 ORDER = ("geometry", "raster", "shadow", "shading", "fit", "config", "console", "study", "viewer", "cli")
-COMMON = {"_types", "_srgb", "_device", "_padding", "_arithmetic", "_checks", "_pictures", "_progress", "settings"}
+COMMON = {
+    "_types",
+    "_srgb",
+    "_device",
+    "_padding",
+    "_arithmetic",
+    "_checks",
+    "_pictures",
+    "_progress",
+    "_words",
+    "settings",
+}
 # Their modules are public, and they need neither JAX nor pydantic.
 SETTINGS = "settings"
 OF_SETTINGS = {*sys.stdlib_module_names, "annotated_types"}

@@ -13,6 +13,7 @@ import pytest
 from PIL import Image
 
 from diffshadow import fit, geometry, raster, reference, shadow
+from diffshadow._words import counted
 
 CAMERA = geometry.PinholeCamera((2.0, 2.0, 3.0), (0.0, 0.3, 0.0), near=0.1, far=20.0, resolution=(24, 32))
 # The floor reaches behind the camera.
@@ -25,6 +26,21 @@ def picture(shown):
     """The picture, row 0 at the bottom, in [0, 1]."""
     (data,) = re.findall(r'src="data:image/png;base64,([^"]+)"', shown)
     return np.asarray(Image.open(io.BytesIO(base64.b64decode(data))))[::-1] / 255
+
+
+@pytest.mark.parametrize(
+    ("count", "noun", "words"),
+    [
+        (1, "entry", "1 entry"),
+        (0, "entry", "0 entries"),
+        (2, "key", "2 keys"),
+        (3, "mesh", "3 meshes"),
+        (1024, "pixel", "1,024 pixels"),
+        (2, "face of fewer than three corners", "2 faces of fewer than three corners"),
+    ],
+)
+def test_numbers_of_things_have_their_plural(count, noun, words):
+    assert counted(count, noun) == words
 
 
 def test_single_numbers_are_shown_and_traced_ones_by_shape():

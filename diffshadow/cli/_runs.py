@@ -5,6 +5,7 @@ from pathlib import Path
 from rich.table import Table
 from rich.text import Text
 
+from .._words import counted
 from ..config import DEFAULT_TEMPLATE, describe, printable, write_template
 from ..console import Console
 from ._app import app, loaded, print_notes, print_path
@@ -110,7 +111,7 @@ def validate(config: Path, /, *overrides: str, preview: bool = False) -> None:
     for row in describe(settings):
         table.add_row(*(Text(printable(cell)) for cell in row))
     console.print(table)
-    message = printable(f"{config} is valid; its scene has {checked.triangles:,} triangles")
+    message = printable(f"{config} is valid; its scene has {counted(checked.triangles, 'triangle')}")
     console.print(Text(message), soft_wrap=True)
     if checked.preview is not None:
         console.print(f"{checked.shadow:.1%} of the picture is in shadow")

@@ -11,6 +11,7 @@ from .._arithmetic import as_float
 from .._checks import check_instance
 from .._pictures import as_html
 from .._progress import Update, showing
+from .._words import counted
 from ..shadow import FittableTechnique
 from ._anneal import Anneal
 from ._arrangement import Arrangement
@@ -93,7 +94,8 @@ class FitResult(NamedTuple):
         # A sample of pixels is no image.
         references = (getattr(each, "reference", None) for each in self.problems)
         images = [image for image in references if image is not None and np.ndim(image) == 2]
-        title = f"Fit of {len(self.fitted)} parameters: {self.steps} steps in {len(self.phases)} phases"
+        steps = f"{counted(self.steps, 'step')} in {counted(len(self.phases), 'phase')}"
+        title = f"Fit of {counted(len(self.fitted), 'parameter')}: {steps}"
         return as_html(title, images[0] if images else None, rows)
 
     @property

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .._types import HostArray
+from .._words import counted
 from ..settings.scene import PIECES
 from ._mesh import Mesh
 from ._normals import crease_normals
@@ -338,7 +339,9 @@ def _check_tube(piece: str, segments: int, sides: int) -> None:
 def _three(piece: str, option: str, value: Number | Sequence[Number]) -> tuple[float, float, float]:
     values = [value] * 3 if isinstance(value, float | int) else list(value)
     if len(values) != 3:
-        raise OptionError(piece, option, f"has {len(values)} entries; expected one number, or three; give x, y and z")
+        raise OptionError(
+            piece, option, f"has {counted(len(values), 'entry')}; expected one number, or three; give x, y and z"
+        )
     for size in values:
         _check_positive(piece, **{option: size})
     return float(values[0]), float(values[1]), float(values[2])

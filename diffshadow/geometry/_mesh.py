@@ -14,6 +14,7 @@ from .._checks import check_instance, check_outside_trace, listed
 from .._padding import padded_to, shared_mesh_size
 from .._pictures import SIDE, as_html, draw_faces, is_known, lit
 from .._types import Faces, HostArray, Mat4, Vertices
+from .._words import counted
 from ..settings import Setting
 from ..settings.quantities import Fraction
 from ._textures import Textures, merged
@@ -188,7 +189,7 @@ class Mesh(eqx.Module):
         colours = lit(np.asarray(face_normals(self)), _FROM, face_colours(self))
         image = draw_faces(np.append(seen, np.ones((len(seen), 1)), axis=1), faces, colours, (SIDE, SIDE))
         size = " x ".join(f"{length:.3g}" for length in high - low)
-        return as_html(f"Mesh: {len(faces):,} triangles, {len(seen):,} vertices, {size} world units", image)
+        return as_html(f"Mesh: {counted(len(faces), 'triangle')}, {len(seen):,} vertices, {size} world units", image)
 
     def padded(self, to: tuple[int, int] | None = None) -> "Mesh":
         """The mesh with further faces that are points, which nothing sees, so that its arrays have one of few sizes:

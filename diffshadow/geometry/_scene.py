@@ -13,6 +13,7 @@ from .._arithmetic import as_float, concrete
 from .._checks import check_instance, shown_with_values
 from .._pictures import SIDE, as_html, draw_faces, is_known, lit
 from .._types import HostArray
+from .._words import counted
 from ._camera import AbstractCamera
 from ._mesh import Mesh, MeshLike, as_mesh, face_colours, face_normals, merge, meshes_of
 from ._origin import WORLD, Origin, PrecisionWarning, as_origin, origin_of, step_of
@@ -102,7 +103,8 @@ class Scene(eqx.Module):
         for name, each in (("casts", self.casts), ("receives", self.receives)):
             if each is not None and len(each) != len(self.meshes):
                 raise ValueError(
-                    f"{name} has {len(each)} entries, and the scene has {len(self.meshes)} meshes; expected one each"
+                    f"{name} has {counted(len(each), 'entry')}, and the scene has {counted(len(self.meshes), 'mesh')}; "
+                    "expected one each"
                 )
         if self.casts is not None and not any(self.casts):
             raise ValueError("no mesh of the scene casts shadows; expected one that does: set one of casts to True")
@@ -142,7 +144,8 @@ class Scene(eqx.Module):
         image = draw_faces(points @ np.asarray(view.matrix).T, np.asarray(mesh.faces), colours, resolution)
         lights = ", ".join(type(light).__name__ for light in self.lights)
         title = (
-            f"Scene: {len(self.meshes)} meshes, {mesh.faces.shape[0]:,} triangles; {lights}; {width} x {height} pixels"
+            f"Scene: {counted(len(self.meshes), 'mesh')}, {counted(mesh.faces.shape[0], 'triangle')}; {lights}; "
+            f"{width} x {height} pixels"
         )
         return as_html(title, image)
 

@@ -13,6 +13,9 @@ from ._cache import keep_content as keep_content
 from ._cache import programs_folder as programs_folder
 from ._cache import prune_cache as prune_cache
 from ._errors import FileError, FileWarning, ImageWarning, MeshWarning
+from ._errors import FullDiskError as FullDiskError
+from ._errors import is_full_disk as is_full_disk
+from ._errors import naming_full_disks as naming_full_disks
 from ._images import read_picture, read_visibility, write_animation, write_png, write_visibility
 from ._looks import Picture as Picture
 from ._looks import png_of as png_of

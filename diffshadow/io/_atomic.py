@@ -6,7 +6,7 @@ import secrets
 from collections.abc import Iterator
 from pathlib import Path
 
-from ._errors import FileError
+from ._errors import FileError, naming_full_disks
 
 
 @contextlib.contextmanager
@@ -17,7 +17,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     the temporary file is removed and `path` is left as it was. A process killed inside the block leaves the temporary
     file behind, but never a partial `path`.
 
-    **Raises** `FileError` if the folder is missing, the block wrote nothing, or `path` is a folder.
+    **Raises** `FileError` if the folder is missing, the block wrote nothing, `path` is a folder, or no space is left.
     """
     target = Path(os.path.abspath(path))
     if not target.parent.is_dir():
@@ -26,7 +26,8 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise FileError(f"cannot write {target}: it is a folder; give the name of a file")
     temporary = target.with_name(f".{target.stem}-{secrets.token_hex(6)}{target.suffix}")
     try:
-        yield temporary
+        with naming_full_disks(target):
+            yield temporary
         if not temporary.exists():
             raise FileError(f"nothing was written to the temporary file of {target}; write to the path that is yielded")
         os.replace(temporary, target)

@@ -1,6 +1,10 @@
 """Errors and warnings of file input and output."""
 
-from collections.abc import Sequence
+import contextlib
+import errno
+import os
+from collections.abc import Iterator, Sequence
+from typing import TypeGuard
 
 # The most names in one sentence.
 _SHOWN = 4
@@ -8,6 +12,48 @@ _SHOWN = 4
 
 class FileError(ValueError):
     """A file or folder cannot be read or written, or does not hold what was expected."""
+
+
+class FullDiskError(FileError):
+    """There is no space left to write a file or folder."""
+
+
+# What systems answer where no space, or nothing of a quota, is left.
+_FULL = (errno.ENOSPC, errno.EDQUOT)
+
+
+def is_full_disk(error: BaseException | None) -> bool:
+    """Whether `error`, or what led to it, is that no space is left."""
+    return any(isinstance(each, FullDiskError) or _is_full(each) for each in _chain(error))
+
+
+@contextlib.contextmanager
+def naming_full_disks(path: str | os.PathLike[str], more: str = "") -> Iterator[None]:
+    """In the block, `path` is written; `more` follows the message.
+
+    **Raises** `FullDiskError` with this path if no space is left for it.
+    """
+    try:
+        yield
+    except Exception as error:  # libraries raise types of their own while they handle the system's
+        if not is_full_disk(error):
+            raise
+        reason = next((each.strerror for each in _chain(error) if _is_full(each)), os.strerror(errno.ENOSPC))
+        raise FullDiskError(
+            f"cannot write {os.path.abspath(path)}: {reason}; expected free space there: free some and run the same "
+            f"command again, or write elsewhere{more}"
+        ) from error
+
+
+def _is_full(error: BaseException) -> TypeGuard[OSError]:
+    return isinstance(error, OSError) and error.errno in _FULL
+
+
+def _chain(error: BaseException | None) -> Iterator[BaseException]:
+    """An error and what led to it."""
+    while error is not None:
+        yield error
+        error = error.__cause__ or error.__context__
 
 
 class FileWarning(UserWarning):

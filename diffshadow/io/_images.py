@@ -70,11 +70,12 @@ def write_png(path: str | os.PathLike[str], image: Any) -> None:
 
 
 def read_visibility(path: str | os.PathLike[str]) -> Float[HostArray, "h w"]:
-    """Reads a visibility image (1 lit, 0 shadowed) from a `.npy`, `.png` or `.exr` file.
+    """Reads a visibility image (1 lit, 0 shadowed) from a `.npy`, `.png`, `.jpg` or `.exr` file.
 
     - `.npy`: an (h, w) array whose row 0 is the bottom row.
     - `.png`: grey, colour or a palette, with any number of bits, linear from 0 to 1. Colour channels are averaged, and
         alpha is ignored. Significant bits (`sBIT`) and the orientation of Exif are obeyed.
+    - `.jpg`: as `.png`, to within what its compression changes.
     - `.exr`: the channel `Y`, the mean of `R`, `G` and `B`, or the only channel, of the first part that has these;
         divided by alpha, as the format has it. The picture is what the display window shows; it is turned as an
         attribute `Orientation` says.
@@ -179,7 +180,17 @@ def _read_jpeg(file: Path) -> Pixels:
         return Pixels(np.asarray(ImageOps.exif_transpose(image).convert("RGB"), np.float32)[::-1] / 255)
 
 
-_READERS: Mapping[str, Callable[[Path], Pixels]] = {".npy": _read_npy, ".png": read_png, ".exr": read_exr}
+def _read_grey_jpeg(file: Path) -> Pixels:
+    return Pixels(_read_jpeg(file).values.mean(axis=-1))
+
+
+_READERS: Mapping[str, Callable[[Path], Pixels]] = {
+    ".npy": _read_npy,
+    ".png": read_png,
+    ".jpg": _read_grey_jpeg,
+    ".jpeg": _read_grey_jpeg,
+    ".exr": read_exr,
+}
 # Of pictures, with their encodings.
 _PICTURES: Mapping[str, tuple[Callable[[Path], Pixels], Encoding]] = {
     ".npy": (_read_npy, "linear"),

@@ -2,7 +2,6 @@
 
 import functools
 import os
-import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -11,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .._types import HostArray
+from .._words import counted
 from ..geometry import Mesh, crease_normals, step_of, weld
 from ..settings.scene import GLTF_SUFFIXES, TexelFilter, Wraps
 from ._errors import FileError, MeshError, MeshWarning, damaged
@@ -285,11 +285,5 @@ def _left_out(polygons: Polygons, tiny: int = 0) -> str:
         "face of fewer than three corners": int((polygons.sizes < 3).sum()),
         "triangle of a millionth of its extent": tiny,
     }
-    words = [f"{count} {name if count == 1 else _plural(name)}" for name, count in counts.items() if count]
+    words = [counted(count, name) for name, count in counts.items() if count]
     return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
-
-
-def _plural(name: str) -> str:
-    # Without what follows the noun.
-    first = re.split(" of | that | without ", name)[0]
-    return f"{first}{'es' if first.endswith('sh') else 's'}{name.removeprefix(first)}"

@@ -75,6 +75,6 @@ class ImageReference(Reference):
     path: Annotated[
         str,
         Len(1),
-        "a visibility image (.npy, .png or .exr, linear, 1 where lit), relative to this file (in an override: to the "
-        "current folder)",
+        "a visibility image (.npy, .png, .jpg or .exr, linear, 1 where lit), relative to this file (in an override: to "
+        "the current folder)",
     ]

@@ -8,6 +8,7 @@ from jaxtyping import Array, Float
 
 from .._checks import CheckedModule
 from .._types import VectorMap, Visibility
+from .._words import counted
 from ..geometry import AbstractCamera, AbstractLight
 from ..raster import AntialiasedSurface, Surface
 
@@ -64,6 +65,7 @@ def each_light(visibility: Visibilities, light: Lights) -> list[tuple[Visibility
         return [(jnp.asarray(visibility), light)]
     if len(visibility) != len(light):
         raise ValueError(
-            f"there are {len(visibility)} visibilities for {len(light)} lights; expected one, (h, w), for each light"
+            f"got {counted(len(visibility), 'visibility')} for {counted(len(light), 'light')}; expected one, (h, w), "
+            "for each light"
         )
     return list(zip(visibility, light, strict=True))

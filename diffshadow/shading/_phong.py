@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from .._arithmetic import as_number, dot, normalize, safe_norm
 from .._checks import CheckedModule
 from .._types import AsScalar, VectorMap
+from .._words import counted
 from ..geometry import AbstractCamera, AbstractLight
 from ..raster import Surface
 from ..settings import shading
@@ -78,7 +79,8 @@ class Phong(AbstractShading):
         intensities = (self.intensity,) * len(pairs) if self.intensities is None else self.intensities
         if len(intensities) != len(pairs):
             raise ValueError(
-                f"Phong.intensities has {len(intensities)} entries for {len(pairs)} lights; expected one for each light"
+                f"Phong.intensities has {counted(len(intensities), 'entry')} for {counted(len(pairs), 'light')}; "
+                "expected one for each light"
             )
         image = surface.albedo * self.ambient.array
         for (seen, each), intensity in zip(pairs, intensities, strict=True):

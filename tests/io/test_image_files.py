@@ -1,5 +1,6 @@
 """Images, whole-or-nothing writes and the cache on disk."""
 
+import errno
 import io
 import os
 import struct
@@ -16,6 +17,7 @@ from PIL import Image
 
 from diffshadow.io import (
     FileError,
+    FullDiskError,
     atomic_path,
     cache_folder,
     cache_key,
@@ -23,6 +25,7 @@ from diffshadow.io import (
     cached_arrays,
     check_writable,
     clear_cache,
+    naming_full_disks,
     prune_cache,
     read_visibility,
     write_png,
@@ -178,9 +181,15 @@ def test_a_header_that_promises_too_much_is_refused_before_memory_is_taken(suffi
 
 
 def test_unknown_suffixes_are_refused(tmp_path):
-    (tmp_path / "a.jpg").write_bytes(b"")
-    for act in (lambda: read_visibility(tmp_path / "a.jpg"), lambda: write_visibility(tmp_path / "a.jpg", RAMP)):
-        with pytest.raises(FileError, match=r"is '\.jpg'; expected one of \.npy, \.png, \.exr"):
+    (tmp_path / "a.gif").write_bytes(b"")
+    for act, expected in (
+        (
+            lambda: read_visibility(tmp_path / "a.gif"),
+            r"is '\.gif'; expected one of \.npy, \.png, \.jpg, \.jpeg, \.exr",
+        ),
+        (lambda: write_visibility(tmp_path / "a.jpg", RAMP), r"is '\.jpg'; expected one of \.npy, \.png, \.exr"),
+    ):
+        with pytest.raises(FileError, match=expected):
             act()
 
 
@@ -272,6 +281,38 @@ def test_atomic_path_replaces_on_success(tmp_path):
         assert target.read_text() == "old"
     assert target.read_text() == "new"
     assert list(tmp_path.iterdir()) == [target]
+
+
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EDQUOT])
+def test_a_full_disk_is_an_error_with_the_path(code, tmp_path):
+    """Also where a library raises an error of its own while it handles the system's, and around a whole folder."""
+    target = tmp_path / "a.npz"
+    target.write_bytes(b"old")
+
+    def write_archive():
+        with atomic_path(target) as temporary:
+            temporary.write_bytes(b"ne")
+            try:
+                raise OSError(code, os.strerror(code))
+            finally:
+                raise ValueError("cannot close the archive")
+
+    with pytest.raises(FullDiskError) as caught:
+        write_archive()
+    assert str(caught.value).startswith(f"cannot write {target}: {os.strerror(code)}; expected free space there")
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"old"]
+    with pytest.raises(FullDiskError) as caught, naming_full_disks(tmp_path / "run", "; 3 are kept"):
+        write_visibility_on_a_full_disk(tmp_path / ".run-draft.npy", code)
+    assert str(caught.value).startswith(f"cannot write {tmp_path / 'run'}: {os.strerror(code)}; expected")
+    assert str(caught.value).endswith("; 3 are kept")
+    # Another error stays what it is.
+    with pytest.raises(PermissionError), atomic_path(target):
+        raise PermissionError(errno.EACCES, "no")
+
+
+def write_visibility_on_a_full_disk(path, code):
+    with atomic_path(path):
+        raise OSError(code, os.strerror(code))
 
 
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])

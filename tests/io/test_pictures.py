@@ -24,6 +24,9 @@ def test_png_and_jpeg_are_srgb_and_begin_with_the_top_row(tmp_path):
         picture, encoding = io.read_picture(tmp_path / f"picture.{suffix}")
         assert encoding == "srgb"
         np.testing.assert_allclose(255 * picture, smooth[::-1], atol=4)
+        # Where visibility is expected, it is grey and linear, as of a PNG file.
+        grey = io.read_visibility(tmp_path / f"picture.{suffix}")
+        np.testing.assert_allclose(255 * grey, smooth[::-1, :, 0], atol=4)
 
 
 def test_grey_has_three_equal_channels(tmp_path):

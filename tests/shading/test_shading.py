@@ -151,13 +151,13 @@ def test_each_light_has_its_own_intensity():
     for shading in (several, ModulatedShadow(several)):
         seen = pixel(shading.of_light(1), surface(), lights[1], eye=eye)
         np.testing.assert_allclose(seen, each[1], rtol=1e-6)
-    with pytest.raises(ValueError, match="intensities has 2 entries for 1 lights; expected one for each light"):
+    with pytest.raises(ValueError, match="intensities has 2 entries for 1 light; expected one for each light"):
         several(surface(), full[:1], lights[:1], eye)
 
 
 @pytest.mark.parametrize("shading", [Phong(), ModulatedShadow()])
 def test_every_light_needs_its_visibility(shading):
-    with pytest.raises(ValueError, match="1 visibilities for 2 lights"):
+    with pytest.raises(ValueError, match="1 visibility for 2 lights"):
         shading(surface(), [jnp.ones((1, 1))], [sun(), spot(2.0)], camera())
 
 

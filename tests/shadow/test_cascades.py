@@ -72,6 +72,18 @@ def along_corridor(resolution=SIZE, near=NEAR, far=FAR) -> PinholeCamera:
     return PinholeCamera((0, 1.7, 0), (0, 1.2, -10), fov_y=60.0, near=near, far=far, resolution=resolution)
 
 
+@pytest.mark.parametrize(
+    ("depths", "stabilize", "is_said"),
+    [("surface", True, True), ("surface", False, False), ("camera", True, False), ("camera", False, False)],
+)
+def test_stabilized_cascades_of_what_the_camera_sees_say_that_they_are_not_stable(depths, stabilize, is_said):
+    remarks = Cascades(3, depths=depths, stabilize=stabilize).remarks(sun(quad((0, 0, 0), (1, 0, 0), (0, 0, -1))))
+    assert len(remarks) == is_said
+    for remark in remarks:
+        assert "not stable, although stabilize is true: with depths = surface" in remark
+        assert "set depths to camera" in remark
+
+
 def posts(count=8) -> Mesh:
     """Posts along both sides of a plane, the farther the larger, which runs from the eye to the far plane."""
     ground = quad((0, 0, -55), (60, 0, 0), (0, 0, -60))

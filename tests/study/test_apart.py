@@ -1,10 +1,12 @@
 """Sweeps on workers that share no files with the command: they have another folder, home and cache."""
 
+import ast
 import contextlib
 import importlib.metadata
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -12,6 +14,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import jax
@@ -23,6 +26,7 @@ from scenes import staying_in
 from diffshadow import io, study
 from diffshadow.config import load_sweep
 from diffshadow.study.sweeps import _pool
+from diffshadow.study.sweeps._code import Code, asked_of, own_code
 
 pytestmark = pytest.mark.usefixtures("tiny_figures")
 
@@ -137,12 +141,22 @@ class Elsewhere:
         )
         self.address = self._cluster.scheduler_address
 
-    def start(self, version: str | None = None) -> subprocess.Popen:
-        """Starts a worker, with another `version` of the package if one is given."""
+    def start(self, version: str | None = None, *, change: str = "", site: str = "") -> subprocess.Popen:
+        """Starts a worker.
+
+        **Arguments:** `version`: of its package, if it is another one; `change`: what its package has more in a module;
+        `site`: what its Python runs first, in place of `preload`.
+        """
         folder = self._folder / f"worker{len(self._workers)}"
         folder.mkdir()
-        (folder / "preload.py").write_text(self._preload)
-        path = [str(ROOT)]
+        (folder / "preload.py").write_text("" if site else self._preload)
+        (folder / "sitecustomize.py").write_text(site)
+        path = [str(folder), str(ROOT)]
+        if change:
+            path.insert(0, str(folder / "changed"))
+            shutil.copytree(ROOT / "diffshadow", folder / "changed" / "diffshadow")
+            with (folder / "changed" / "diffshadow" / "shadow" / "_compare.py").open("a") as module:
+                module.write(change)
         if version is not None:
             path.insert(0, str(folder / "old"))
             made = folder / "old" / f"diffshadow-{version}.dist-info"
@@ -263,6 +277,145 @@ def test_a_worker_with_another_version_is_refused_by_name(tmp_path, monkeypatch)
         monkeypatch.setattr(_pool.OnCluster, "check_versions", _only_again(_pool.OnCluster.check_versions))
         with pytest.raises(ValueError, match=r"has diffshadow 0\.0\.1"):
             study.run_sweep(load_sweep(Path("s.yaml")), console=quiet(), scheduler=cluster.address)
+
+
+@pytest.mark.exhaustive
+def test_a_worker_with_other_sources_is_refused_by_both_hashes(tmp_path):
+    """Of the same version. A comment suffices."""
+    here = own_code()
+    with elsewhere(tmp_path) as cluster:
+        cluster.start(change="# tripled\n")
+        cluster.wait_for(1)
+        with pytest.raises(
+            ValueError, match=rf"expected diffshadow {here.version} with {here.hash}, as here"
+        ) as caught:
+            study.run_sweep(load_sweep(Path("s.yaml")), console=quiet(), scheduler=cluster.address)
+        said = str(caught.value)
+        (there,) = re.findall(r"has other code of diffshadow \S+, whose sources have the hash ([0-9a-f]{12});", said)
+        assert there != here.hash
+
+
+# Its package lacks what it needs.
+LACKING = """
+import sys
+
+class Lacking:
+    def find_spec(self, name, path=None, target=None):
+        if name == "optimistix":
+            raise ModuleNotFoundError("No module named 'optimistix'")
+
+sys.meta_path.insert(0, Lacking())
+"""
+
+
+@pytest.mark.exhaustive
+def test_a_worker_that_cannot_import_the_package_is_named_with_its_reason(tmp_path):
+    """When the sweep starts, and when it joins later, after the first one is lost."""
+    sweep = load_sweep(Path("s.yaml"), ["sweep.repeats=200"])
+    said = r"worker at tcp://\S+ cannot import diffshadow \S+ \(ModuleNotFoundError: No module named 'optimistix'\)"
+    with elsewhere(tmp_path) as cluster:
+        cluster.start(site=LACKING)
+        cluster.wait_for(1)
+        with pytest.raises(ValueError, match=said):
+            study.run_sweep(sweep, console=quiet(), scheduler=cluster.address)
+    shutil.rmtree(tmp_path / "worker0")
+    with elsewhere(tmp_path, 1, QUICK.format(seconds=0.05)) as cluster:
+        folder = Path("runs/s-sweep").absolute()
+
+        def replace() -> None:
+            until(lambda: len(list(folder.glob("runs/*/result.json"))) >= 5)
+            cluster._workers[0].send_signal(signal.SIGKILL)
+            cluster.start(site=LACKING)
+
+        thread = threading.Thread(target=replace)
+        thread.start()
+        with pytest.raises(ValueError, match=f"{said}|3 Dask workers died as they were given work"):
+            study.run_sweep(sweep, console=quiet(), scheduler=cluster.address)
+        thread.join()
+
+
+def test_the_hash_of_code_is_of_its_sources_wherever_they_are(tmp_path):
+    """Asked as a worker is, which has nothing of this package; of a clone, of a wheel and of changed code."""
+
+    def asked(name: str, ends: str = "\n", value: int = 1, **files: str) -> tuple[str, str, str]:
+        root = tmp_path / name / "diffshadow"
+        (root / "settings").mkdir(parents=True)
+        for file, text in {"__init__.py": "", "settings/__init__.py": f"A = {value}{ends}", **files}.items():
+            (root / file).write_bytes(text.encode())
+        made = tmp_path / name / "diffshadow-0.2.0.dist-info"
+        made.mkdir()
+        (made / "METADATA").write_text("Metadata-Version: 2.1\nName: diffshadow\nVersion: 0.2.0\n")
+        command = [sys.executable, "-S", "-c", f"print(repr(eval({asked_of(known)!r})))"]
+        done = subprocess.run(command, env={"PYTHONPATH": str(root.parent)}, capture_output=True, text=True, check=True)
+        return ast.literal_eval(done.stdout)
+
+    known = "none"
+    version, plain, fault = asked("clone")
+    assert (version, len(plain), fault) == ("0.2.0", 12, "")
+    assert asked("windows", "\r\n")[1] == asked("compiled", **{"settings/a.pyc": "x", "settings/b.md": "y"})[1] == plain
+    assert plain not in {
+        asked("changed", value=3)[1],
+        asked("more", **{"a.py": ""})[1],
+        asked("rule", **{"a.json": "{}"})[1],
+    }
+    # What has the same sources is imported.
+    known = plain
+    _, same, fault = asked("same")
+    assert (same, fault) == (plain, "ModuleNotFoundError: No module named 'diffshadow.study'")
+
+
+def test_how_the_code_of_a_worker_differs_is_said_with_both():
+    here = Code("0.2.0", "aaaa")
+    assert _pool._difference(here, here) is None
+    for there, said in (
+        (Code("", ""), "does not have diffshadow; expected 0.2.0"),
+        (Code("0.1.0", "bbbb"), "has diffshadow 0.1.0; expected 0.2.0, as here: install it there (pip install"),
+        (Code("0.1.0", "bbbb"), "(the hash of its sources is bbbb, and aaaa here)"),
+        (Code("0.2.0", "bbbb"), "has other code of diffshadow 0.2.0, whose sources have the hash bbbb; expected"),
+        (Code("0.2.0", "bbbb"), "expected diffshadow 0.2.0 with aaaa, as here: install the same code there"),
+        (Code("0.2.0", "aaaa", "ImportError: no"), "cannot import diffshadow 0.2.0 (ImportError: no); expected"),
+        (Code("0.2.0", "", "No module named 'diffshadow'"), "cannot import diffshadow 0.2.0 (No module named"),
+    ):
+        assert said in str(_pool._difference(there, here))
+
+
+class Dying:
+    """A client whose workers die before they can answer."""
+
+    def __init__(self):
+        self.asked = 0
+
+    def nthreads(self):
+        return {f"tcp://a:{self.asked}": 1}
+
+    def run(self, function, *arguments, workers, on_error):
+        self.asked += 1
+        return {address: OSError("closed") for address in workers}
+
+
+def test_workers_that_die_as_they_join_end_the_sweep():
+    cluster = _pool.OnCluster(Dying())
+    cluster.check_versions()
+    cluster.check_versions()
+    with pytest.raises(ValueError, match="3 Dask workers died as they were given work, the last at tcp://a:2"):
+        cluster.check_versions()
+
+
+def test_it_is_said_that_a_scheduler_has_no_workers_and_the_wait_ends(monkeypatch):
+    monkeypatch.setattr(_pool, "_SAID_AFTER", 0.15)
+    monkeypatch.setattr(_pool, "_WORKERS_TIMEOUT", 0.5)
+    none, said = SimpleNamespace(nthreads=dict), []
+    with pytest.raises(ValueError, match=r"scheduler at tcp://a:1 has no workers after 0\.5 seconds; expected"):
+        _pool.OnCluster(none, say=said.append).wait_for_workers("tcp://a:1")
+    (text,) = said
+    assert text.startswith("waiting for a worker of the Dask scheduler at tcp://a:1, which has none yet: start it with")
+
+    def interrupt():
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        _pool.OnCluster(none, interrupt).wait_for_workers("tcp://a:1")
+    _pool.OnCluster(SimpleNamespace(nthreads=lambda: {"tcp://a:2": 1})).wait_for_workers("tcp://a:1")
 
 
 def _only_again(check: Callable[..., None]) -> Callable[..., None]:

@@ -21,7 +21,7 @@ from diffshadow.study.advice._engines import engine_code
 from diffshadow.study.advice._times import Load, times_of
 from diffshadow.study.runs._engine_fits import lit_by
 from diffshadow.study.runs._progress import Stages
-from diffshadow.study.sweeps._pace import Pace
+from diffshadow.study.sweeps._pace import Pace, saying_how_long
 
 pytestmark = pytest.mark.usefixtures("tiny_figures")
 
@@ -168,8 +168,8 @@ def test_the_code_to_paste_ends_the_output_and_is_on_the_page(quick, engine, suf
 
 
 def test_time_of_all_fits_follows_from_the_first(monkeypatch):
-    """What all fits share is done once. The workers take turns at the rest."""
-    clock = iter([0.0, 53.0])
+    """What all fits share is done once. The workers take turns at the rest. If they take longer, that is said again."""
+    clock = iter([0.0, 53.0, 60.0, 73.0, 120.0, 400.0])
     monkeypatch.setattr(time, "perf_counter", lambda: next(clock))
     out = text_io.StringIO()
     pace = Pace(Console(file=out, width=200, highlight=False), "fits", "; then they are timed")
@@ -177,11 +177,28 @@ def test_time_of_all_fits_follows_from_the_first(monkeypatch):
     stages = {"total": 48.0, "drawing": 28.0, "compiling": 7.5}
     pace.done(1, stages)
     pace.done(2, stages)
+    pace.done(3, {"total": 20.0})
+    pace.done(4, {"total": 80.0})
+    pace.done(18, {"total": 20.0})
     assert out.getvalue() == (
         "18 fits to do, 2 at a time; the first says how long they take\n"
-        # 53 + 8 × 20 seconds
-        "the first took 53 s, with what all compile and trace once; all 18 take about 4 min; then they are timed\n"
+        # 53 + 17 × 20 / 2 seconds
+        "the first took 53 s, with what all compile and trace once; all 18 take about 4 min if the others compile as "
+        "long; then they are timed\n"
+        # 120 + 14 × 35 / 2 seconds
+        "4 of 18 are done; all take about 6 min; then they are timed\n"
     )
+
+
+def test_how_long_timing_takes_is_said_once(monkeypatch):
+    clock = iter([0.0, 12.0])
+    monkeypatch.setattr(time, "perf_counter", lambda: next(clock))
+    out, seen = text_io.StringIO(), []
+    step = saying_how_long(Console(file=out, width=200), "timing them", 45, seen.append)
+    for done in range(1, 6):
+        step(done)
+    assert seen == [1, 2, 3, 4, 5]
+    assert out.getvalue() == "timing them takes about 3 min\n"
 
 
 def values_of(code):

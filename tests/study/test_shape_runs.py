@@ -1,14 +1,21 @@
 """Runs of fits of shapes: their folder, page and checkpoint, and mistakes of their configurations."""
 
+import errno
+import os
+
 import jax
 import numpy as np
 import pytest
+from PIL import Image
 from rich.console import Console
 
-from diffshadow import io, study
+from diffshadow import fit, io, study
 from diffshadow.config import CONFIG_FILE, ConfigError, build_shape, load_config, parse_config
+from diffshadow.geometry import Mesh, library_mesh
 from diffshadow.raster import draw_surface
 from diffshadow.study.files._stored import read_result
+from diffshadow.study.remarks._shape import shape_remarks, shape_verdict
+from diffshadow.study.runs import _turntable
 from diffshadow.study.runs._checkpoint import Checkpoint
 from diffshadow.study.runs._progress import Stages
 from diffshadow.study.runs._shape import shape_problem
@@ -119,6 +126,30 @@ def test_lights_start_as_far_off_as_asked():
     assert still is plan.seen[2].light
 
 
+def test_a_checkpoint_that_does_not_fit_on_the_disk_keeps_the_last_one(tmp_path, monkeypatch):
+    def state(step):
+        shape = {name: np.zeros((step, 3)) for name in ("vertices", "faces", "free", "u", "mean", "square")}
+        best = {name: np.zeros((1, 3)) for name in ("best_vertices", "best_faces", "lights", "light_mean")}
+        rest = {"light_square": np.zeros(1), "best_lights": np.zeros(1), "losses": (), "crossings": 9}
+        return fit.ShapeState(**shape, **best, **rest, phase=0, step=step, history=((0, 0.1),) * step)
+
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    checkpoint = Checkpoint(config(), tmp_path / "tiny")
+    checkpoint.write(state(2))
+    monkeypatch.setattr(np, "savez", full)
+    for again in (checkpoint, Checkpoint(config(), tmp_path / "tiny")):
+        assert again is checkpoint or again.read() is not None
+        with pytest.raises(io.FileError) as caught:
+            again.write(state(3))
+        assert str(caught.value).startswith(f"cannot write {checkpoint.file}: No space left on device")
+        assert str(caught.value).endswith("; the fit then goes on after step 2, which is kept")
+    kept = checkpoint.read()
+    assert kept is not None
+    assert kept.step == 2
+
+
 def test_damaged_checkpoints_are_ignored(tmp_path):
     checkpoint = Checkpoint(config(), tmp_path / "tiny")
     checkpoint.file.write_bytes(b"PK\x03\x04 and no more")
@@ -145,7 +176,7 @@ def test_shapes_that_cannot_be_fitted_are_refused(overrides, words):
     [
         (
             ["fit.shape.targets=[{path: builtin:box}]", "fit.shape.unseen=[]"],
-            "has 1 entries, and the scene has 2 light",
+            "has 1 entry, and the scene has 2 lights",
         ),
         (["fit.shape.targets=[{path: builtin:box}, {path: builtin:box}]"], "unseen: is given together with targets"),
         (["fit.parameters={bias.constant: {lower: 0, upper: 1}}"], "are given with fit.shape"),
@@ -181,6 +212,75 @@ def test_images_are_targets_and_masks_their_weights(tmp_path):
     masked = f"fit.shape.masks=[{tmp_path}/dark.png, {tmp_path}/light.png]"
     with pytest.raises(ConfigError, match="is light in all pixels that count"):
         build_shape(given("dark", masked))
+
+
+def test_images_that_look_wrong_are_remarked_on_or_refused(tmp_path, capsys):
+    """An inverted image is dark at its border; an image of one colour has nothing to fit."""
+    dark = np.ones((32, 32), np.float32)
+    dark[8:24, 8:20] = 0
+    frame = np.ones((32, 32))
+    frame[:4] = frame[-4:] = frame[:, :4] = frame[:, -4:] = 0
+    for name, image in (("dark", dark), ("inverted", 1 - dark), ("black", 0 * dark), ("frame", frame)):
+        io.write_visibility(tmp_path / f"{name}.png", image)
+    with Image.open(tmp_path / "dark.png") as image:
+        Image.fromarray((np.asarray(image) / 257).astype(np.uint8)).save(tmp_path / "dark.jpg", quality=95)
+    given = lambda first, *more: config(
+        f"fit.shape.images=[{tmp_path}/{first}, {tmp_path}/dark.jpg]", "fit.shape.unseen=[]", *more
+    )
+    plan = build_shape(given("dark.png"))
+    assert plan.remarks == []
+    np.testing.assert_allclose(plan.images[0], plan.images[1], atol=0.1)
+    # Where the border does not count, the border of what counts tells.
+    masked = f"fit.shape.masks=[{tmp_path}/frame.png, {tmp_path}/frame.png]"
+    for more in ([], [masked]):
+        (said,) = build_shape(given("inverted.png", *more)).remarks
+        assert said.startswith(f"fit.shape.images.0 ({tmp_path}/inverted.png) is dark in 100% of the pixels at its")
+        assert "invert the image" in said
+    with pytest.raises(ConfigError, match=r"black\.png, which is dark in all pixels that count"):
+        build_shape(given("black.png"))
+
+
+def test_faces_seen_from_behind_have_another_colour(monkeypatch):
+    """Inside an open box, but nowhere on a closed one, whichever way its faces are wound."""
+    monkeypatch.setattr(_turntable, "_SIDE", 24)
+    monkeypatch.setattr(_turntable, "_FRAMES", 1)
+    box = library_mesh("box")
+    vertices, faces = np.asarray(box.vertices), np.asarray(box.faces)
+    top = (vertices[faces][..., 1] > vertices[:, 1].max() - 1e-6).all(axis=1)
+    is_blue = lambda mesh: (lambda frame: frame[..., 2] > frame[..., 0] + 0.1)(_turntable.turntable(mesh)[0])
+    assert not is_blue(box).any()
+    assert not is_blue(Mesh(vertices, faces[:, ::-1])).any()
+    assert is_blue(Mesh(vertices, faces[~top])).mean() > 0.05
+    assert is_blue(Mesh(vertices, faces[~top][:, ::-1])).mean() > 0.05
+
+
+def shape_result(losses, chosen=0):
+    history = [(0, loss) for loss in losses]
+    return fit.FittedShape(None, [], 0.4, losses[-1], [losses[-1]], chosen, history, [], [], None)
+
+
+def test_the_verdict_of_a_shape_names_crossing_faces_and_a_start_that_was_best():
+    lights = [{"light": "scene.light", "before": 0.4, "map": 0.9, "rays": 0.8}]
+    measured = {"lights": lights, "self_intersections": 779}
+    said = shape_verdict(shape_result([0.1] * 8), measured)
+    assert said.kind == "fitted"
+    assert (
+        "to 80.0% by rays, from 40.0%, in 8 steps; the surface intersects itself in 779 pairs of faces" in said.sentence
+    )
+    assert "normal_consistency" in said.remedies[0]
+    one = shape_verdict(shape_result([0.1] * 8), {**measured, "self_intersections": 1})
+    assert one.sentence.endswith("in 1 pair of faces")
+    none = shape_verdict(shape_result([0.1] * 8), {**measured, "self_intersections": 0})
+    assert ("intersects" in none.sentence, none.remedies) == (False, [])
+    start = shape_verdict(shape_result([0.1] * 8, -1), measured)
+    assert (start.kind, start.sentence.startswith("no phase ended better than the start")) == ("best already", True)
+
+
+def test_a_shape_whose_error_still_fell_asks_for_more_steps():
+    assert list(shape_remarks(shape_result([0.4, 0.2, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1]))) == []
+    (said,) = shape_remarks(shape_result([0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1]))
+    assert "still fell when phase 1 ended, which gave the result, by 67% in its last 2 steps" in said
+    assert said.endswith("fit.shape.phases.0.steps")
 
 
 def test_lights_of_all_kinds_have_screens_that_show_the_shape():

@@ -1,6 +1,7 @@
 """Sweeps: from a section of the configuration to runs, tables and a figure, however often they are cut short."""
 
 import contextlib
+import errno
 import gc
 import importlib
 import io as text_io
@@ -22,12 +23,13 @@ import pytest
 from rich.console import Console
 from scenes import compiled_programs, staying_in
 
-from diffshadow import study
+from diffshadow import io, study
 from diffshadow.config import Config, ConfigError, SweepConfig, load_config, load_sweep
 from diffshadow.config.reading._axes import levels_of
 from diffshadow.config.reading._load import parse_draft
 from diffshadow.metrics import flicker
 from diffshadow.settings import rules
+from diffshadow.study.remarks._layout import frames_remarks
 from diffshadow.study.sweeps._curves import curves_of
 from diffshadow.study.sweeps._run import missing_runs
 from diffshadow.study.sweeps._work import drawing_of
@@ -107,6 +109,72 @@ def test_axes_nest_in_their_order_and_the_last_changes_first():
     assert config.sweep is None
     with pytest.raises(ValueError, match="frozen"):
         config.seed = 1
+
+
+@pytest.mark.parametrize("place", ["runs", "results.parquet"])
+def test_a_full_disk_is_one_error_that_says_what_is_kept(place, monkeypatch):
+    """Whether a run or a table does not fit: with its path, and how many runs need not be done again."""
+    sweep, written = sweep_of("{grid: {filter.radius: [1, 2]}, repeats: 2}"), []
+    original_bytes, original_open = Path.write_bytes, Path.open
+
+    def full():
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    def write_bytes(path, content):
+        if place == "runs" and path.name == "result.json" and path.parent.parent.name == "runs":
+            written.append(path)
+            if len(written) > 3:
+                full()
+        return original_bytes(path, content)
+
+    def opened(path, *mode, **how):
+        return full() if path.suffix == ".parquet" and "w" in "".join(mode) else original_open(path, *mode, **how)
+
+    monkeypatch.setattr(Path, "write_bytes", write_bytes)
+    if place != "runs":
+        monkeypatch.setattr(Path, "open", opened)
+    with pytest.raises(io.FileError) as caught:
+        run(sweep)
+    said = str(caught.value)
+    assert said.startswith(f"cannot write {Path('runs/t-sweep').absolute() / place}")
+    assert "No space left on device; expected free space there" in said
+    kept = "3 of 4 runs are kept in" if place == "runs" else "4 of 4 runs are kept in"
+    assert f"{kept} {Path('runs/t-sweep').absolute()}, and not done again" in said
+    # No run is to blame.
+    assert all(run_of["status"] == "ok" for run_of in map(_outcome_of, Path("runs/t-sweep/runs").iterdir()))
+    monkeypatch.undo()
+    assert f"4 of 4 runs are done, {1 if place == 'runs' else 0} of them tried now" in run(sweep)[1]
+
+
+def _outcome_of(folder: Path):
+    return json.loads((folder / "result.json").read_text())
+
+
+CASCADES = "technique={type: cascades, count: 2, depths: camera}"
+NEAR_FAR = ("scene.camera.near=0.5", "scene.camera.far=9")
+
+
+@pytest.mark.parametrize(
+    ("overrides", "said"),
+    [
+        ([CASCADES], "scene.camera.near and scene.camera.far are found for each frame anew"),
+        ([CASCADES, "technique.shadow_distance=5"], "scene.camera.near is found for each frame anew"),
+        ([CASCADES, *NEAR_FAR], None),
+        ([CASCADES, "technique.stabilize=false"], None),
+        ([], None),
+    ],
+)
+def test_cascades_that_are_not_stable_from_frame_to_frame_are_remarked_on(overrides, said):
+    moving = "{grid: {filter.radius: [1, 2]}, flicker: {count: 2, through: {AXIS: [0, 20]}}}"
+    of_camera, of_light = (
+        sweep_of(moving.replace("AXIS", axis), *overrides)
+        for axis in ("scene.camera.orbit.azimuth", "scene.light.azimuth")
+    )
+    remarks = list(frames_remarks(of_camera.runs[0].frames))
+    assert len(remarks) == (said is not None)
+    assert all(said in remark for remark in remarks)
+    # Near and far do not follow the light.
+    assert list(frames_remarks(of_light.runs[0].frames)) == []
 
 
 def test_whole_sections_and_their_keys_can_be_set_in_turn():
@@ -794,7 +862,7 @@ import sys
 import time
 from pathlib import Path
 from rich.console import Console
-from diffshadow import study
+from diffshadow import io, study
 from diffshadow.config import load_sweep
 from diffshadow.study.sweeps import _work as sweep_work
 

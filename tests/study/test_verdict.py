@@ -265,3 +265,79 @@ def test_a_solver_that_failed_is_reported_whatever_its_history():
     found = result(phases=[outcome("the loss is not finite near the solution")])
     (said,) = remarks(parse_config(BASE), plan(), found)
     assert said.endswith("the loss is not finite near the solution")
+
+
+# Of pictures: the same remarks, in their own words.
+
+OF_PICTURE = object.__new__(fit.PictureProblem)
+COLOURED = f"{BASE}reference: {{type: picture}}"
+ALBEDO = "scene.meshes.0.albedo.red"
+
+
+@pytest.mark.parametrize(
+    ("name", "side", "bound", "falls", "said"),
+    [
+        (ALBEDO, "upper", 1.0, True, "That is the limit of scene.meshes.0.albedo.red, so no bounds can be wider"),
+        (ALBEDO, "upper", 1.0, False, None),
+        (ALBEDO, "upper", 0.9, True, "so widen the bounds"),
+        ("shading.ambient.red", "lower", 0.0, True, "That is the limit of shading.ambient.red"),
+        ("reference.exposure", "lower", -1.0, True, "so widen the bounds"),
+    ],
+)
+def test_at_the_limit_of_a_number_of_a_picture_no_wider_bounds_are_advised(name, side, bound, falls, said):
+    found = result(at_bounds=[fit.AtBound(name, side, bound, falls)], problems=(OF_PICTURE,), arrangement=True)
+    asked = SimpleNamespace(parameters=[fit.Parameter(name, 0.5, -20.0, 20.0)], front=0)
+    told = remarks(parse_config(COLOURED), asked, found)
+    assert len(told) == (said is not None)
+    for each in told:
+        assert said in each
+        assert ("widen" in each) == ("widen" in said)
+
+
+def test_a_fit_that_was_cut_short_is_not_called_the_best():
+    """With `max_steps` of 1, the loss is evaluated once in each phase: at the start."""
+    phases = [outcome("max_steps reached")._replace(steps=1)] * 2
+    history = [fit.Step(phase, 0, 0.1, 0.01, (2.0, 2.0)) for phase in range(2)]
+    undetermined = fit.Precision(NAMES, {}, [], [NAMES])
+    for problems, what in (((), "bias.constant"), ((OF_PICTURE,), "bias.constant")):
+        found = result((0.1, 0.1), values=2.0, chosen=1, phases=phases, history=history, problems=problems)
+        found = found._replace(arrangement=bool(problems) or None, precision=undetermined)
+        of = verdict(parse_config(COLOURED), plan(), found, 0.113, 0.113, None)
+        assert of.kind == "cut short"
+        assert "ended before it converged: its RMSE stayed at 0.1130 in 2 steps" in of.sentence
+        told = remarks(parse_config(COLOURED), plan(), found, of.kind)
+        assert told[0].startswith("the solver did not converge in the phase that gave the result")
+        assert told[0].endswith("max_steps reached: raise fit.solver.max_steps")
+        assert not any(f"hardly determines {what}" in each for each in told)
+    # No phase was better than the start.
+    lost = found._replace(chosen=-1)
+    of = verdict(parse_config(COLOURED), plan(), lost, 0.113, 0.113, None)
+    assert of.kind == "cut short"
+    assert "in its last phase, and no phase ended better" in remarks(parse_config(COLOURED), plan(), lost, of.kind)[0]
+    # A loss that had settled is no reason.
+    settled = [fit.Step(1, i, 0.1, loss, (2.0, 2.0)) for i, loss in enumerate([1, 0.5, 0.1, 0.1, 0.1, 0.1, 0.1])]
+    assert verdict(parse_config(BASE), plan(), found._replace(history=settled), 0.1, 0.1, None).kind == "best already"
+
+
+def test_what_profiles_alone_gained_is_said():
+    end = lambda value: fit.End(value, 0.1, False)
+    profile = fit.Profile("bias.constant", (5.0, 0.1), [], [fit.Interval(0.01, end(4.9), end(5.1))])
+    at_start = [outcome()._replace(values=(2.0, 2.0))]
+    best = dict.fromkeys(NAMES, 5.0)
+    by_profiles = result(phases=at_start, profiles=[profile], best=best, parameters=tuple(plan().parameters))
+    for found in (by_profiles, by_profiles._replace(chosen=-1)):
+        (said,) = remarks(parse_config(BASE), plan(), found)
+        assert said.startswith("the solver found nothing better than the start: all that the fit gained was found by")
+        assert "fit.intervals" in said
+    by_solver = by_profiles._replace(phases=[outcome()._replace(values=(4.0, 5.0))])
+    assert remarks(parse_config(BASE), plan(), by_solver) == []
+
+
+def test_the_verdict_and_the_remarks_of_a_picture_name_the_picture():
+    config, fell = parse_config(COLOURED), result(problems=(OF_PICTURE,), arrangement=True)
+    said = verdict(config, plan(), fell, 0.2, 0.1, None).sentence
+    assert "reduced the picture's error from 0.2000 to 0.1000 RMSE, by a factor of 2.0" in said
+    loose = fell._replace(flat=[ALBEDO], precision=fit.Precision(NAMES, {}, [], [NAMES]))
+    flat, undetermined = remarks(config, plan(), loose)
+    assert flat.startswith(f"{ALBEDO} was not fitted: its gradient is zero throughout, since no pixel of the picture")
+    assert undetermined.startswith("the picture hardly determines bias.constant and filter.radius")

@@ -1,7 +1,7 @@
 """Builds a fit of a shape: a screen behind the shape for each light, and the meshes whose shadows fall on it."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from typing import Any, NamedTuple
 
@@ -28,6 +28,8 @@ _EXTENT = 2.2
 _SCREEN, _CAMERA = 1.3, 0.2
 # A screen is so many times as wide as what its camera sees.
 _WIDER = 2.0
+# Visibility below which a pixel of an image is in shadow, and the part of an image's border that may be in shadow.
+_DARK, _MOSTLY = 0.5, 0.5
 # The least sine of the angle at which light may graze a level screen.
 _GRAZING = 0.1
 # A sphere to start from: its diameter as a fraction of the meshes' longest side, and how often triangles are split.
@@ -80,6 +82,7 @@ class ShapePlan(NamedTuple):
     - `targets`: the mesh whose shadow each light should cast; empty if there are images.
     - `truth`: the mesh that casts all of these shadows, if there is one.
     - `images`, `weights`: (h, w), of each light; empty without images.
+    - `remarks`: sentences on images that look wrong.
     """
 
     seen: list[Screen]
@@ -93,6 +96,7 @@ class ShapePlan(NamedTuple):
     images: list[Float[HostArray, "h w"]]
     weights: list[Float[HostArray, "h w"]]
     phases: list[fit.ShapePhase]
+    remarks: list[str]
 
 
 def plan_shape(config: Config, blame: Blame) -> ShapePlan:
@@ -145,6 +149,7 @@ def plan_shape(config: Config, blame: Blame) -> ShapePlan:
         images=images,
         weights=weights,
         phases=phases,
+        remarks=list(_image_remarks(shape, images, weights)),
     )
 
 
@@ -207,7 +212,8 @@ def _images(
 ) -> tuple[list[Float[HostArray, "h w"]], list[Float[HostArray, "h w"]]]:
     """The images, and the weights of their pixels.
 
-    **Raises** `ConfigError` for a file that cannot be read, or an image of another size or without a shadow.
+    **Raises** `ConfigError` for a file that cannot be read, or an image of another size, without a shadow or without
+    light.
     """
     images, weights = [], []
     for i, path in enumerate(shape.images):
@@ -216,12 +222,30 @@ def _images(
         with blame(("fit", "shape", "masks", i)):
             weights.append(_image(shape.masks[i], shape.resolution) if shape.masks else np.ones(shape.resolution))
         with blame(("fit", "shape", "images", i)):
-            if not (images[-1][weights[-1] > 0] < 0.5).any():
+            dark = images[-1][weights[-1] > 0] < _DARK
+            if not dark.any() or dark.all():
                 raise ValueError(
-                    f"is {path}, which is light in all pixels that count; expected a dark shadow on white: check the "
-                    "image, or whether it is inverted"
+                    f"is {path}, which is {'dark' if dark.any() else 'light'} in all pixels that count; expected a "
+                    "dark shadow on white: check the image, its mask, or whether it is inverted"
                 )
     return images, weights
+
+
+def _image_remarks(
+    shape: ShapeConfig, images: Sequence[Float[HostArray, "h w"]], weights: Sequence[Float[HostArray, "h w"]]
+) -> Iterator[str]:
+    """A sentence for each image that is dark round a light shape: the shadow of no shape within it."""
+    for i, (image, weight) in enumerate(zip(images, weights, strict=True)):
+        rows, columns = (np.flatnonzero((weight > 0).any(axis=axis)) for axis in (1, 0))
+        rim = np.ones_like(weight, bool)
+        rim[rows[0] + 1 : rows[-1], columns[0] + 1 : columns[-1]] = False
+        share = float((image[rim & (weight > 0)] < _DARK).mean())
+        if share > _MOSTLY:
+            yield (
+                f"fit.shape.images.{i} ({shape.images[i]}) is dark in {share:.0%} of the pixels at its border that "
+                "count, and a shadow is dark on white: if the shape is white in it, invert the image; if its shadow "
+                "is cut off, raise fit.shape.extent and show all of it"
+            )
 
 
 def _image(path: str, resolution: Resolution) -> Float[HostArray, "h w"]:

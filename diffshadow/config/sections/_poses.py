@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 from pydantic_core import PydanticCustomError
 
+from ..._words import counted
 from ...settings import Limits, Setting, shading
 from ...settings.quantities import Coordinate, Distance, Factor, Fraction, HalfAngle, Turn, WorldUnits
 from ...settings.reference import PictureReference
@@ -185,7 +186,7 @@ def _missing_light(data: Any, name: str) -> PydanticCustomError | None:
         case ["scene", "lights", index, *_] | ["shading", "intensities", index, *_] if is_index(index):
             count = len(_lights(data))
             if int(index) >= count:
-                has = f"is of light {int(index)}, and the scene has {count} light{'' if count == 1 else 's'}"
+                has = f"is of light {int(index)}, and the scene has {counted(count, 'light')}"
                 expected = "light 0" if count == 1 else f"a light from 0 to {count - 1}"
                 return fault(has, expected, "change its number")
     return None

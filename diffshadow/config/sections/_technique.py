@@ -4,6 +4,7 @@ import itertools
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any
 
+from ..._words import counted
 from ...settings import engines, maps, techniques
 from ...settings.techniques import MAX_ACROSS
 from ._section import Conflict, Section, Variants, exclusive, fault
@@ -25,7 +26,7 @@ class CascadesConfig(Section, techniques.Cascades):
                 message = f"is {after:g}, after {before:g}"
                 yield ("distances", i + 1), fault(message, "increasing depths", "sort them, without repetitions")
         if self.shares is not None and len(self.shares) != self.layers:
-            message = f"has {len(self.shares)} shares, for {self.layers} cascades"
+            message = f"has {counted(len(self.shares), 'share')}, for {counted(self.layers, 'cascade')}"
             yield ("shares",), fault(message, "as many", "give one for each cascade")
 
 

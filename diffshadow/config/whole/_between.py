@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any, get_args
 
+from ..._words import counted
 from ...settings.engines import BabylonJs, Engine, ThreeJs
 from ...settings.filters import PercentageCloserSoft
 from ...settings.fit import widest_blur
@@ -72,7 +73,7 @@ def run_faults(config: Parts) -> Iterator[Conflict]:
                 yield (key,), what
     intensities, lights = config.shading.intensities, len(config.scene.each_light)
     if intensities is not None and len(intensities) != lights:
-        message = f"has {len(intensities)} entries, and the scene has {lights} light{'' if lights == 1 else 's'}"
+        message = f"has {counted(len(intensities), 'entry')}, and the scene has {counted(lights, 'light')}"
         yield ("shading", "intensities"), fault(message, "one for each light", "add or remove some")
     if config.reference.type == "image" and len(config.scene.each_light) > 1:
         message = f"is a single image, for {len(config.scene.each_light)} lights"
@@ -87,11 +88,11 @@ def _faults_of_shape(config: Parts) -> Iterator[Conflict]:
     for key in ("images", "masks", "targets"):
         count = len(getattr(shape, key))
         if count and count != len(lights):
-            message = f"has {count} entries, and the scene has {len(lights)} light{'' if len(lights) == 1 else 's'}"
+            message = f"has {counted(count, 'entry')}, and the scene has {counted(len(lights), 'light')}"
             yield ("fit", "shape", key), fault(message, "one for each light", "add or remove some")
     for i, number in enumerate(shape.moves):
         if not 0 <= number < len(lights) or number in shape.moves[:i]:
-            message = f"is {number}, and the scene has {len(lights)} light{'' if len(lights) == 1 else 's'}"
+            message = f"is {number}, and the scene has {counted(len(lights), 'light')}"
             expected = f"each number from 0 to {len(lights) - 1} at most once"
             yield ("fit", "shape", "moves", i), fault(message, expected, "change or remove it")
     if config.technique.type != "shadow_map":
@@ -143,7 +144,7 @@ def _foreign_to_engine(config: Parts, technique: Engine) -> Iterator[Conflict]:
     for name in ("side", "shadow_side", "back_face_culling"):
         sides = getattr(technique, name, None)
         if isinstance(sides, tuple) and len(sides) != count:
-            message = f"has {len(sides)} entries, and the scene has {count} mesh{'' if count == 1 else 'es'}"
+            message = f"has {counted(len(sides), 'entry')}, and the scene has {counted(count, 'mesh')}"
             yield ("technique", name), fault(message, "one for each", "give one for all, or one for each")
 
 

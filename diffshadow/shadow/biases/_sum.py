@@ -8,6 +8,7 @@ import numpy as np
 
 from ..._arithmetic import as_numbers, concrete
 from ..._types import Scalar
+from ..._words import counted
 from ...settings.biases import Bias as Settings
 from .._receiver import Receiver
 from ._abstract import AbstractBias, BiasTerms
@@ -78,8 +79,8 @@ class Bias(AbstractBias):
         if self.factors is not None:
             if receiver.layer is None:
                 raise ValueError(
-                    f"the bias has {len(self.factors)} factors, one for each layer, and the map has no layers; "
-                    "expected a map of cascades or of a point light: leave factors out"
+                    f"the bias has {counted(len(self.factors), 'factor')}, one for each layer, and the map has no "
+                    "layers; expected a map of cascades or of a point light: leave factors out"
                 )
             terms = terms.scaled(jnp.stack(self.factors)[receiver.layer])
         return terms if self.plane is None else terms + self.plane(receiver)

@@ -171,7 +171,7 @@ class BabylonJs(AbstractEngineShadows):
 
     def casting_sides(self, scene: Scene) -> tuple[Side | None, ...]:
         shown: Side = "back" if self.force_back_faces_only else "front"
-        culling = each_of(self.back_face_culling, scene.meshes, "entries of back_face_culling")
+        culling = each_of(self.back_face_culling, scene.meshes, "back_face_culling")
         casts = scene.casts or (True,) * len(culling)
         return tuple(
             (shown if is_culled else "double") if does else None for is_culled, does in zip(culling, casts, strict=True)

@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..._arithmetic import as_array, as_float
 from ..._types import HostArray, Resolution, Scalar
+from ..._words import counted
 from ...geometry import AbstractLight, Mesh, PointLight, Scene, Textures, View, merge, perspective
 from ...raster import Surface, at_steps, rasterize_depth
 from ...settings.engines import Side
@@ -85,7 +86,8 @@ def each_of(values: Any, meshes: Sequence[Mesh], what: str) -> tuple[Any, ...]:
         return (values,) * len(meshes)
     if len(values) != len(meshes):
         raise ValueError(
-            f"there are {len(values)} {what}, and the scene has {len(meshes)} meshes; expected one for all, or one each"
+            f"{what} has {counted(len(values), 'entry')}, and the scene has {counted(len(meshes), 'mesh')}; "
+            "expected one for all, or one each"
         )
     return values
 

@@ -92,14 +92,14 @@ class ThreeJs(AbstractEngineShadows):
                 "the light is a point light, for which three.js draws no VSMShadowMap; expected BasicShadowMap or "
                 "PCFShadowMap: change shadow_type"
             )
-        offset = _offsets(each_of(self.side, scene.meshes, "sides"))
+        offset = _offsets(each_of(self.side, scene.meshes, "side"))
         return self.drawn(scene, engine_light(scene.light, THREE_NUDGE), self.casting_sides(scene), offset)
 
     def casting_sides(self, scene: Scene) -> tuple[Side | None, ...]:
         is_variance = self.shadow_type == "VSMShadowMap"
-        side = each_of(self.side, scene.meshes, "sides")
+        side = each_of(self.side, scene.meshes, "side")
         default: tuple[Side, ...] = side if is_variance else tuple(OTHER_SIDE[one] for one in side)
-        given: tuple[Side | None, ...] = each_of(self.shadow_side, scene.meshes, "sides")
+        given: tuple[Side | None, ...] = each_of(self.shadow_side, scene.meshes, "shadow_side")
         casting: list[Side] = [other if one is None else one for one, other in zip(given, default, strict=True)]
         receives = scene.receives or (True,) * len(side)
         casts = scene.casts or (True,) * len(side)
@@ -115,7 +115,7 @@ class ThreeJs(AbstractEngineShadows):
         """
         light = engine_light(scene.light, THREE_NUDGE)
         depth = self.checked_map(stored, light, is_depth=True)
-        offset = _offsets(each_of(self.side, scene.meshes, "sides"))
+        offset = _offsets(each_of(self.side, scene.meshes, "side"))
         return self.with_depth(1 - depth if self.reversed_depth else depth, scene, light, offset)
 
     def visibility(self, state: EngineMap, surface: Surface) -> Visibility:

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, Int
 
 from ..._arithmetic import as_float, as_number, as_numbers, concrete
 from ..._types import AsOptional, AsOptionalScalars, AsScalar, Resolution, Scalar
+from ..._words import counted
 from ...geometry import AbstractCamera, AbstractLight, View
 from ...raster import SUBPIXELS, Surface
 from ...settings.quantities import MAX_TEXELS
@@ -55,7 +56,8 @@ class Cascades(AbstractFittedLayout):
         which spends texels on what finer cascades show.
     - `stabilize`: whether texels stay where they are on the scene's surfaces as the camera moves: each cascade contains
         the least sphere around its slice, whose size does not change as the camera turns, and moves by whole texels.
-        Otherwise it contains the box of its slice, and no more than the light's own map does.
+        Otherwise it contains the box of its slice, and no more than the light's own map does. Texels stay only where
+        slices do: with `depths="camera"`, and a camera whose near and far stay.
     - `select`: which cascade a receiver is looked up in. `"interval"`: by its depth. `"map"`: the first whose map
         contains it, which uses more of the finer maps.
     - `blend`: over which part of a slice, at its end, its cascade fades into the next; 0 for a sharp change.
@@ -118,8 +120,8 @@ class Cascades(AbstractFittedLayout):
         given = None if any(each is None for each in known) else np.array(known, float)
         if len(shares) != self.count:
             raise ValueError(
-                f"the cascades have {len(shares)} shares, and their count is {self.count}; expected as many: give one "
-                "for each"
+                f"the cascades have {counted(len(shares), 'share')}, and their count is {self.count}; expected as "
+                "many: give one for each"
             )
         if not 0 < self.max_share <= 1:
             raise ValueError(f"the cascades' max_share is {self.max_share}; expected more than 0, and at most 1")
@@ -217,6 +219,16 @@ class Cascades(AbstractFittedLayout):
         assert isinstance(light, CascadedLight)
         ends = self.shadow_distance is not None or self.distances is not None
         return light.choose(points, None if self.max_blend == 0 else self.blend, self.fade if ends else None)
+
+    def remarks(self, light: AbstractLight) -> tuple[str, ...]:
+        """That stabilized cascades are not stable, since their slices move."""
+        if not (self.stabilize and self.depths == "surface"):
+            return ()
+        return (
+            "has cascades that are not stable, although stabilize is true: with depths = surface, slices follow what "
+            "the camera sees, so that cascades change size and texels move on surfaces as it moves; set depths to "
+            "camera for stable ones, or stabilize to false for finer texels",
+        )
 
     def map_figure(self, light: AbstractLight) -> MapFigure:
         assert isinstance(light, CascadedLight)

@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..._arithmetic import as_float, as_number, dot, normalize
 from ..._types import AsOptional, AsScalar, Mask, Resolution, Scalar
+from ..._words import counted
 from ...geometry import AbstractCamera, AbstractLight, Pages, cell_of, finest_of, side_of
 from ...raster import Surface
 from ...settings.techniques import MAX_ACROSS, MAX_LEVEL_BIAS, LevelNorm
@@ -147,7 +148,7 @@ class ResolutionMatched(AbstractFittedLayout):
     def map_figure(self, light: AbstractLight) -> MapFigure:
         assert isinstance(light, PagedLight)
         count = int(light.pages.count)
-        return MapFigure(f"{count} pages, from fine to coarse", None, count)
+        return MapFigure(f"{counted(count, 'page')}, from fine to coarse", None, count)
 
     def layer_figure(self, light: AbstractLight, surface: Surface) -> LayerFigure:
         """The level of each page, each a little lighter or darker than the next."""
@@ -159,7 +160,7 @@ class ResolutionMatched(AbstractFittedLayout):
         return LayerFigure(
             "levels",
             "Levels",
-            f"{int(pages.count)} pages of {pages.page}² texels, bias {float(light.bias):.3g}",
+            f"{counted(int(pages.count), 'page')} of {pages.page}² texels, bias {float(light.bias):.3g}",
             {i: f"{i}: {sizes[i]}²" for i in np.unique(np.asarray(level)[np.asarray(shown)]).tolist()},
             level,
             None,

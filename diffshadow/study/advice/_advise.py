@@ -5,10 +5,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
 from rich.console import Console
 from rich.table import Table
 
 from ... import io
+from ..._words import counted
 from ...config import RECOMMENDED_FILE as RECOMMENDED
 from ...config import Advice, Config, fit_units, with_fitted
 from ...settings.fit import Loss
@@ -17,12 +19,13 @@ from ..files._schema import are_measurements, read_json, write_json
 from ..files._stored import ADVISE
 from ..pages import _table as table
 from ..runs._progress import counting
-from ..runs._record import write_yaml
-from ..sweeps._pace import Pace
+from ..runs._record import versions, write_yaml
+from ..sweeps._pace import Pace, saying_how_long
 from ..sweeps._run import counts_of, doing, failures, print_plan, record_of, write_record
 from ..sweeps._work import FITTED, OK, VALIDATION
 from ._candidates import Candidate, front, ranked, recommended
 from ._engines import code_file, engine_code, title_of
+from ._large import large_biases
 from ._measure import LeastBias, least_bias_for, measure_times, single_bias, steps_of, unexplained_by
 from ._report import report_advice
 from ._special_cases import as_special_case
@@ -32,6 +35,7 @@ from ._verdict import Findings, verdict
 SUFFIX = "-advise"
 """The suffix of the folder of a recommendation."""
 _MEASURED = "measured.json"
+_COMPILING = "compiling them once more, to time them,"
 
 
 class _Fitted(NamedTuple):
@@ -67,18 +71,20 @@ def run_advise(advice: Advice, *, console: Console, scheduler: str | None = None
         fitted = [_at_best(each, fitted) for each in fitted]
         if not fitted:
             raise ValueError(f"no technique could be fitted, so none can be recommended: {'; '.join(problems)}")
-        with counting(console, "timing", steps_of([each.config for each in fitted])) as progress:
-            times, load = _times(folder, fitted, progress)
+        steps = steps_of([each.config for each in fitted])
+        with counting(console, "timing", steps) as progress:
+            times, load = _times(folder, fitted, saying_how_long(console, _COMPILING, len(fitted), progress))
         if load.remark is not None:
             problems.append(f"{load.remark}; to time them again, remove {folder / _MEASURED} and repeat the command")
         candidates = [_candidate(advice, each, time) for each, time in zip(fitted, times, strict=True)]
-        chosen = recommended(candidates, advice.settings.within)
+        noise = _noise(fitted)
+        chosen = recommended(candidates, advice.settings.within, noise or 0.0)
+        best = next(each.config for each in fitted if each.row["id"] == chosen.id)
         with counting(console, "comparing biases", len(fitted)) as progress:
             least_biases = _least_biases(folder, candidates, chosen, fitted, progress)
-        found = Findings(
-            candidates, chosen, advice.settings.within, _over(fitted[0].config), _noise(fitted), least_biases
-        )
-        best = next(each.config for each in fitted if each.row["id"] == chosen.id)
+        large = list(large_biases(best, noise or 0.0))
+        over, within = _over(fitted[0].config), advice.settings.within
+        found = Findings(candidates, chosen, within, over, noise, least_biases, large)
         problems = [*unexplained_by(best), *problems]
         code = _code(folder, advice, chosen, best)
         named = best.model_copy(update={"name": sweep.name}).named_with("-recommended")
@@ -210,7 +216,7 @@ def _candidate(advice: Advice, each: _Fitted, times: Times) -> Candidate:
 def _over(config: Config) -> str:
     """What errors are measured over, in words."""
     unseen, seen = len(config.validation), len(config.views)
-    count = lambda n: f"{n} view{'' if n == 1 else 's'}"
+    count = lambda n: counted(n, "view")
     if unseen:
         return f"{count(unseen)} for validation"
     return f"the {count(seen)} that the fit sees" if seen else "the scene"
@@ -235,9 +241,19 @@ def _record(found: Findings, problems: Sequence[str]) -> dict[str, Any]:
     }
 
 
+def _of_times() -> str:
+    """What times in the table are of."""
+    processor = versions()["processor"]
+    where = f"all cores of {processor}" if jax.default_backend() == "cpu" else str(jax.devices()[0].device_kind)
+    return (
+        f"times are of this renderer on {where}, of one view with all its lights, after compiling: they compare "
+        "techniques with each other, and are no times of an engine"
+    )
+
+
 def _print(console: Console, name: str, found: Findings) -> None:
     """Prints the ranking and the verdict."""
-    heads = ("bias", "filter", "map", "RMSE", "acne", "leaks", "ms", "× fastest")
+    heads = ("bias", "filter", "map", "RMSE", "acne", "leaks", f"{jax.default_backend().upper()} ms", "× fastest")
     shown = Table(*heads, title=table.words(f"{name}: techniques by RMSE over {found.over}"), title_justify="left")
     for column in shown.columns[2:]:
         column.justify = "right"
@@ -249,5 +265,5 @@ def _print(console: Console, name: str, found: Findings) -> None:
         shown.add_row(table.words(each.bias), table.words(each.filter), *numbers)
     console.print(shown)
     legend = "← is recommended; * marks techniques that no other beats in both RMSE and time"
-    table.print_lines(console, [legend])
+    table.print_lines(console, [legend, _of_times()])
     table.print_lines(console, verdict(found))

@@ -76,12 +76,20 @@ def front(candidates: Sequence[Candidate]) -> list[Candidate]:
     return sorted(kept, key=lambda each: (each.ratio, each.rmse))
 
 
-def recommended(candidates: Sequence[Candidate], within: float) -> Candidate:
-    """The fastest candidate whose RMSE exceeds the least by at most the fraction `within` of it.
+def recommended(candidates: Sequence[Candidate], within: float, noise: float = 0.0) -> Candidate:
+    """The fastest candidate whose RMSE exceeds the least by at most the fraction `within` of it, or by the reference's
+    `noise`.
 
-    Of those with the same time, it is the one with the least error.
+    Of those with the same time, it is the fastest of those with the least error within the noise.
     """
     least = min(each.rmse for each in candidates)
-    good = [each for each in candidates if each.rmse <= least * (1 + within)]
+    good = [each for each in candidates if each.rmse <= least + tolerated(least, within, noise)]
     fastest = min(good, key=lambda each: each.ratio)
-    return ranked([each for each in good if same_time(each, fastest)])[0]
+    near = [each for each in good if same_time(each, fastest)]
+    best = min(each.rmse for each in near)
+    return min((each for each in near if each.rmse <= best + noise), key=lambda each: (each.ratio, each.rmse))
+
+
+def tolerated(least: float, within: float, noise: float) -> float:
+    """By how much an RMSE may exceed the least and still count as good."""
+    return max(least * within, noise)

@@ -3,12 +3,16 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
-from ._candidates import Candidate, front, ranked, same_time
+import jax
+
+from ._candidates import Candidate, front, ranked, same_time, tolerated
 from ._measure import LeastBias
 
 # The least difference of rates that is called one: 26 pixels of 512 × 512. The reference's noise hardly touches rates,
 # since they count only pixels that all of its rays see alike.
 _SAME_RATE = 1e-4
+# Above this fraction of the least RMSE, the reference's noise hides differences that matter.
+_NOISY = 0.1
 
 
 class Findings(NamedTuple):
@@ -17,6 +21,7 @@ class Findings(NamedTuple):
     - `candidates`: all of them; `chosen`: the recommended one; `within`: the fraction that it may be worse.
     - `over`: what errors are measured over, in words.
     - `noise`: the reference's own RMSE; `None` if unknown.
+    - `large`: sentences on recommended biases that are far larger than usual.
     - `least_biases`: by label, for other biases with a single fitted number: its unit, and the value at which they have
         no more false shadow than the chosen one.
     """
@@ -27,6 +32,7 @@ class Findings(NamedTuple):
     over: str
     noise: float | None
     least_biases: Mapping[str, tuple[str, LeastBias]]
+    large: Sequence[str] = ()
 
     @property
     def same_rmse(self) -> float:
@@ -42,7 +48,7 @@ class Findings(NamedTuple):
 
 def verdict(found: Findings) -> list[str]:
     """The verdict, sentence by sentence."""
-    parts = (_choice, _against_best, _biases, _less_acne, _filters, _sizes, _fastest)
+    parts = (_choice, lambda found: iter(found.large), _against_best, _biases, _less_acne, _filters, _sizes, _fastest)
     return [sentence for part in parts for sentence in part(found)]
 
 
@@ -51,29 +57,39 @@ def _choice(found: Findings) -> Iterator[str]:
     values = ", ".join(f"{name} {value:.3g} {chosen.units[name]}".rstrip() for name, value in chosen.values.items())
     yield (
         f"Recommended: {chosen.name}, with {values}. Its RMSE is {chosen.rmse:.4f} over {found.over}, and it takes "
-        f"{chosen.ms:.1f} ms per view, {chosen.map_ms:.1f} ms of them for the map."
+        f"{chosen.ms:.1f} ms per view, {chosen.map_ms:.1f} ms of them for the map, by this renderer {_device()}."
     )
 
 
 def _against_best(found: Findings) -> Iterator[str]:
     best, chosen = min(found.candidates, key=lambda each: each.rmse), found.chosen
+    if len(found.candidates) == 1:
+        yield "It is the only candidate."
+        return
     if best.id == chosen.id:
         others = [each for each in found.candidates if each.id != chosen.id]
         equal = [each for each in others if each.rmse - chosen.rmse <= found.same_rmse]
         yield f"No other of the {len(found.candidates)} candidates has a smaller error" + (
             f"; {len(equal)} of them {'is' if len(equal) == 1 else 'are'} as good within the reference's noise of "
-            f"{found.same_rmse:.4f}."
+            f"{found.same_rmse:.4f}, and none of these is faster."
             if equal and found.noise
             else "."
         )
         return
     more = chosen.rmse / best.rmse - 1 if best.rmse else 0.0
-    noise = ""
+    noise, margin = "", tolerated(best.rmse, found.within, found.same_rmse)
     if found.noise is not None and chosen.rmse - best.rmse <= found.noise:
-        noise = f" The difference is below the reference's noise of {found.noise:.4f}."
+        noise = f" The difference is below the reference's noise of {found.noise:.4f}, so the cheaper one is chosen."
+    if margin > found.within * best.rmse:
+        good = f"the reference's noise of {margin:.4f} of the least RMSE"
+        # Techniques that more rays would tell apart count as equal.
+        if margin > _NOISY * best.rmse:
+            noise += " More reference.samples would tell more techniques apart."
+    else:
+        good = f"{100 * found.within:g} % of the least RMSE"
     yield (
-        f"It is as fast as any within {100 * found.within:g} % of the least RMSE. {_upper(best.name)} has "
-        f"{best.rmse:.4f}, {_time(best, chosen)}; the recommended one has {_percent(more)} more.{noise}"
+        f"It is as fast as any within {good}. {_upper(best.name)} has {best.rmse:.4f}, {_time(best, chosen)}; the "
+        f"recommended one has {_percent(more)} more.{noise}"
     )
 
 
@@ -158,6 +174,12 @@ def _change(found: Findings, other: Candidate) -> str:
 def _time(of: Candidate, than: Candidate) -> str:
     """How long one candidate takes compared with another."""
     return "in the same time" if same_time(of, than) else f"in {of.ratio / than.ratio:.2f} times the time"
+
+
+def _device() -> str:
+    """What techniques are timed on, in words."""
+    kind = jax.default_backend()
+    return "on the CPU, whatever a GPU takes" if kind == "cpu" else f"on the {kind.upper()}"
 
 
 def _percent(fraction: float) -> str:

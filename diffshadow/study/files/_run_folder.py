@@ -103,6 +103,8 @@ def write_whole(folder: Path, write: Callable[[Path], None]) -> None:
 
     An earlier run at `folder` is kept until `write` has returned. Then its files are removed, and any other files in
     the folder are moved to the new one. If `write` raises, its files are removed. A link to a folder remains a link.
+
+    **Raises** `FullDiskError` if no space is left, and what `write` raises.
     """
     folder = folder.resolve() if folder.is_dir() else folder
     made: list[Path] = []
@@ -112,8 +114,9 @@ def write_whole(folder: Path, write: Callable[[Path], None]) -> None:
     token = secrets.token_hex(_TOKEN_BYTES)
     draft, old = (folder.with_name(f".{folder.name}-{token}{end}") for end in ("", _OLD))
     try:
-        draft.mkdir()
-        write(draft)
+        with io.naming_full_disks(folder):
+            draft.mkdir()
+            write(draft)
         if not folder.exists():
             draft.rename(folder)
             return

@@ -185,7 +185,8 @@ class _Verdict(Part):
     kind: str
     sentence: str = Field(min_length=1)
     remedies: list[str] = []
-    constant_rmse: Fraction | None = None
+    # Of a picture, whose colours may be greater than 1.
+    constant_rmse: Annotated[float, Field(ge=0)] | None = None
 
 
 class Run(Part):
@@ -308,6 +309,7 @@ class Picture(Run):
     """A fit made in Python has neither seed nor command, since it has no configuration."""
 
     kind: Literal["picture"]
+    verdict: _Verdict | None = None
     encoding: Encoding
     seed: Seed | None = None
     command: str | None = None
@@ -336,6 +338,7 @@ class _ShapePhase(Part):
 
 class Shape(Run):
     kind: Literal["shape"]
+    verdict: _Verdict | None = None
     seed: Seed
     command: str
     metrics: _ShapeMetrics

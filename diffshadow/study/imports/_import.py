@@ -13,6 +13,7 @@ import numpy as np
 from rich.console import Console
 
 from ... import geometry, io
+from ..._words import counted
 from ...config import ConfigError, Location, Mistake, dump, parse_config
 from ...settings.engines import ImportedTechnique, ShadowType, ThreeJs
 from ..pages import _table as table
@@ -206,7 +207,7 @@ def _say(console: Console, chosen: Chosen, remarks: Sequence[str]) -> None:
     meshes, camera, light = chosen
     triangles = sum(len(mesh.faces) for mesh in meshes)
     taken = [
-        f"{len(meshes)} mesh{'' if len(meshes) == 1 else 'es'}, {triangles:,} triangles: "
+        f"{counted(len(meshes), 'mesh')}, {counted(triangles, 'triangle')}: "
         + ", ".join(mesh.name for mesh in meshes[:8])
         + (" and others" if len(meshes) > 8 else ""),
         f"camera {camera.name}: {'parallel' if camera.fov_y is None else f'{camera.fov_y:.4g} degrees'}",

@@ -10,11 +10,13 @@ from matplotlib.figure import Figure
 from ... import io
 from ..._checks import text_within
 from ..._types import HostArray
+from ..._words import counted
 from ...shading import to_srgb
 from .. import style
 from ..files._stored import ARRAYS, PICTURE_STATES, REPORT, read_result
 from ._next import after_shape
-from ._page import picture, write_page
+from ._page import picture, sentences_of, write_page
+from ._table import UNEXPLAINED
 
 _CURVE = "loss"
 _TITLES = dict(zip(PICTURE_STATES, ("Reference", "Before", "After"), strict=True))
@@ -43,6 +45,7 @@ def report_picture(folder: Path, form: str | None = None, dpi: int | None = None
         "picture.html.j2",
         name=result["name"],
         summary=_summary(result),
+        is_explained=(result.get("verdict") or {}).get("kind") != UNEXPLAINED,
         warnings=result.get("warnings", []),
         pictures=[_shown(arrays, result, state) for state in PICTURE_STATES],
         differences=[_difference(arrays, state) for state in PICTURE_STATES[1:]],
@@ -62,13 +65,16 @@ def report_picture(folder: Path, form: str | None = None, dpi: int | None = None
     return folder / REPORT
 
 
-def _summary(result: Mapping[str, Any]) -> str:
+def _summary(result: Mapping[str, Any]) -> list[str]:
+    """The verdict on the fit, sentence by sentence, and what its errors are of."""
     before, after = (result["metrics"][state]["rmse"] for state in PICTURE_STATES[1:])
-    return (
-        f"The picture's error fell from {before:.4f} to {after:.4f} RMSE, in {result['steps']} steps. Errors are of "
-        f"{'sRGB' if result['encoding'] == 'srgb' else 'linear'} colours, over "
-        f"{result['metrics']['pixels']:,} pixels."
-    )
+    fell = f"The picture's error went from {before:.4f} to {after:.4f} RMSE, in {counted(result['steps'], 'step')}."
+    colours = "sRGB" if result["encoding"] == "srgb" else "linear"
+    return [
+        # An older run has no verdict.
+        *(sentences_of(result) or [fell]),
+        f"Errors are of {colours} colours, over {counted(result['metrics']['pixels'], 'pixel')}.",
+    ]
 
 
 def _shown(arrays: Mapping[str, HostArray], result: Mapping[str, Any], state: Any) -> Any:

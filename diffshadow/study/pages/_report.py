@@ -80,9 +80,10 @@ def write_report(run: StoredRun) -> Path:
 
 def _fit_summary(result: Mapping[str, Any]) -> list[str]:
     """The verdict on the fit, sentence by sentence; of an older run that has none, the errors."""
-    found = result.get("verdict")
-    if found:
-        return [f"{text[:1].upper()}{text[1:]}." for text in (found["sentence"], *found.get("remedies", ()))]
+    from ._page import sentences_of
+
+    if found := sentences_of(result):
+        return found
     before, after = (result["metrics"][when]["rmse"] for when in ("before", "after"))
     return [f"The fit changed the shadow's error from {number('rmse', before)} to {number('rmse', after)} RMSE."]
 

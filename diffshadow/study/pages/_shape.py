@@ -1,6 +1,6 @@
 """The page of a fit of a shape, made of its folder's files."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +14,13 @@ from ...config import CONFIG_FILE, load_config
 from .. import style
 from ..files._stored import ARRAYS, REPORT, read_result
 from ._next import after_shape
-from ._page import data_uri, picture, write_page
+from ._page import data_uri, picture, sentences_of, write_page
 
 TURNTABLE, PROGRESS = "turntable.webp", "progress.webp"
-_SHOWN = {TURNTABLE: "The fitted shape from all sides.", PROGRESS: "The shape as it was fitted."}
+_SHOWN = {
+    TURNTABLE: "The fitted shape from all sides. Faces that are seen from behind are blue.",
+    PROGRESS: "The shape as it was fitted.",
+}
 _CURVE = "loss"
 
 
@@ -41,7 +44,9 @@ def report_shape(folder: Path, form: str | None = None, dpi: int | None = None) 
         folder / REPORT,
         "shape.html.j2",
         name=result["name"],
-        summary=_summary(result),
+        # An older run has no verdict.
+        summary=sentences_of(result),
+        warnings=result.get("warnings") or [],
         lights=[_light(arrays, i, light) for i, light in enumerate(measured["lights"])],
         unseen=measured.get("unseen", []),
         moved=measured.get("moved", []),
@@ -61,20 +66,6 @@ def report_shape(folder: Path, form: str | None = None, dpi: int | None = None) 
     return folder / REPORT
 
 
-def _summary(result: Mapping[str, Any]) -> str:
-    measured = result["metrics"]
-    mean = lambda lights, key: float(np.mean([light[key] for light in lights]))
-    lights = measured["lights"]
-    text = f"The shadows overlap their targets to {mean(lights, 'rays'):.1%} by rays, from {mean(lights, 'before'):.1%}"
-    if measured.get("unseen"):
-        text += f", and to {mean(measured['unseen'], 'rays'):.1%} under lights that the fit has not seen"
-    if measured.get("chamfer") is not None:
-        text += f"; the shape is {measured['chamfer'] / measured['size']:.2%} of its size from the truth on average"
-    if pairs := measured.get("self_intersections"):
-        text += f"; the surface intersects itself, in {pairs} pairs of faces"
-    return f"{text}."
-
-
 def _light(arrays: Mapping[str, HostArray], number: int, light: Mapping[str, Any]) -> dict[str, Any]:
     key = light["light"]
     shown = [("Target", "reference", ""), ("Before", "before", light["before"]), ("After", "after", light["map"])]
@@ -84,13 +75,6 @@ def _light(arrays: Mapping[str, HostArray], number: int, light: Mapping[str, Any
         for title, name, overlap in shown
     ]
     return {**light, "pictures": pictures}
-
-
-def _animations(folder: Path) -> Iterator[tuple[Markup, str]]:
-    """The animations of the folder, with their captions."""
-    for file, text in _SHOWN.items():
-        if (folder / file).is_file():
-            yield Markup(data_uri((folder / file).read_bytes(), ".webp")), text
 
 
 def _loss(result: Mapping[str, Any], arrays: Mapping[str, HostArray]) -> Figure:

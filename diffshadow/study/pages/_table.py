@@ -9,6 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ..._checks import text_within
+from ..._words import counted
 from ...config import printable
 from ...fit import FrontPoint, Parameter, Profile
 from ...shadow import EngineSetting
@@ -137,7 +138,7 @@ def print_validation(
         "before",
         "after",
         "unit",
-        title=f"{views} view{'' if views == 1 else 's'} for validation",
+        title=f"{counted(views, 'view')} for validation",
         title_justify="left",
     )
     for column in table.columns[1:3]:

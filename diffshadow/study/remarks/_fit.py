@@ -3,18 +3,23 @@
 from collections.abc import Iterator, Sequence
 
 from ..._checks import text_within
+from ..._words import counted, plural
 from ...config import Config, FitPlan, is_limit
 from ...fit import FitResult, Outcome, Parameter
 from ..pages._table import UNEXPLAINED
+from ._course import (
+    CUT_SHORT,
+    STILL_FALLING,
+    is_by_profiles,
+    is_nearly_done,
+    last_phase,
+    late_fall,
+    was_cut_short,
+    what_is_fitted,
+)
 from ._pose import pose_remarks
 from ._verdict import BEST_ALREADY, Kind
 
-_CUT_SHORT = "max_steps reached"
-# Above this relative decrease in the last steps, a loss counts as still falling. Losses of poses change a little at
-# every step, as pixels switch between lit and shadowed.
-_STILL_FALLING = 0.25
-# Up to this one, the last phase of a fit of a technique counts as done: its error fell by no more than half as much.
-_NEARLY_DONE = 0.01
 # An interval longer than this part of the distance between the bounds says that a value hardly matters.
 _FLAT = 0.5
 
@@ -31,7 +36,9 @@ def remarks(config: Config | None, plan: FitPlan, result: FitResult, kind: Kind 
     if result.arrangement is None:
         sentences = [_flat(config, name) for name in result.flat]
     else:
-        sentences = list(pose_remarks(config, result, is_explained=kind != UNEXPLAINED))
+        # Large differences that more steps would mend say nothing of how well the values are determined.
+        is_known = kind != UNEXPLAINED and not was_cut_short(result)
+        sentences = list(pose_remarks(config, result, is_known=is_known))
     if kind == UNEXPLAINED:
         return sentences
     sentences += [*_undecided(plan.parameters, result), *_few_points(plan, result)]
@@ -41,7 +48,8 @@ def remarks(config: Config | None, plan: FitPlan, result: FitResult, kind: Kind 
     preferred = bool(result.best) and result.fitted != result.best
     on_bounds = [] if preferred else _on_bounds(config, plan.parameters, result)
     more = "raise max_steps of the fit.Solver" if config is None else "raise fit.solver.max_steps"
-    return [*sentences, *on_bounds, *_unconverged(result, more)]
+    within = "fit.Sureness(within=...)" if config is None else "fit.intervals"
+    return [*sentences, *on_bounds, *_by_profiles(result, within, more), *_unconverged(result, more)]
 
 
 def _undecided(parameters: Sequence[Parameter], result: FitResult) -> Iterator[str]:
@@ -62,7 +70,7 @@ def _few_points(plan: FitPlan, result: FitResult) -> Iterator[str]:
     count = len(result.front)
     if count < plan.front:
         yield (
-            f"fit.front is {plan.front}, and the front has {count} point{'' if count == 1 else 's'}: no other settings "
+            f"fit.front is {plan.front}, and the front has {counted(count, 'point')}: no other settings "
             "were found whose errors differ from theirs and whose weighted sum is the least for some weights"
         )
 
@@ -70,50 +78,47 @@ def _few_points(plan: FitPlan, result: FitResult) -> Iterator[str]:
 def _unconverged(result: FitResult, more: str) -> Iterator[str]:
     """A sentence for each phase that led to the result and ended while its error still fell; `more` says what gives
     more steps."""
-    if result.chosen < 0:
+    found = last_phase(result)
+    if found is None:
         return
-    last, is_done = result.phases[result.chosen], True
-    if last.result != "successful":
-        fall = _late_fall(result, result.chosen)
-        # Losses of poses change a little at every step.
-        least = _NEARLY_DONE if result.arrangement is None else _STILL_FALLING
-        is_done = last.result == _CUT_SHORT and fall is not None and fall[0] <= least
-        if not is_done:
-            still = "" if fall is None or last.result != _CUT_SHORT else f", while its error fell {_by(*fall)}"
-            mend = f": {more}" if last.result == _CUT_SHORT else ""
-            in_phase = f"the solver did not converge in the phase that gave the result ({_named(last)})"
-            yield f"{in_phase}: {last.result}{still}{mend}"
-    for number, phase in enumerate(result.phases[: result.chosen]):
-        if phase.result != _CUT_SHORT:
+    last, number = found
+    is_done = is_nearly_done(result, number)
+    if not is_done:
+        fall = late_fall(result, number)
+        still = f", while its error fell {_by(*fall)}" if fall and fall[0] > 0 and last.result == CUT_SHORT else ""
+        mend = f": {more}" if last.result == CUT_SHORT else ""
+        which = "the phase that gave the result" if result.chosen >= 0 else "its last phase, and no phase ended better"
+        yield f"the solver did not converge in {which} ({_named(last)}): {last.result}{still}{mend}"
+    # Where no phase led to the result, none came before it.
+    for earlier, phase in enumerate(result.phases[: max(result.chosen, 0)]):
+        if phase.result != CUT_SHORT:
             continue
-        fall = _late_fall(result, number)
+        fall = late_fall(result, earlier)
         before = f"an earlier phase ({_named(phase)}), where the result's phase began, ended at max_steps"
         # If a later phase has converged, an earlier one that was nearly done does not matter.
-        if fall is not None and fall[0] > _STILL_FALLING:
+        if fall is not None and fall[0] > STILL_FALLING:
             yield f"{before} while its error still fell, {_by(*fall)}: {more}"
         elif not is_done:
             yield f"{before}, too"
+
+
+def _by_profiles(result: FitResult, within: str, more: str) -> Iterator[str]:
+    """A sentence for a fit whose solver gained nothing; `within` names what asks for profiles."""
+    if is_by_profiles(result):
+        yield (
+            f"the solver found nothing better than the start: all that the fit gained was found by the profiles that "
+            f"{within} asks for, which look near the best values; a smaller error may lie farther away: {more}, or "
+            "begin at the fitted values"
+        )
 
 
 def _by(decrease: float, steps: int) -> str:
     return f"by {decrease:.0%} in its last {'step' if steps == 1 else f'{steps} steps'}"
 
 
-def _late_fall(result: FitResult, phase: int) -> tuple[float, int] | None:
-    """The relative decrease of a phase's loss in the last quarter of its steps, and the number of these steps; none for
-    fewer than two steps."""
-    # Only the best of several starts continues to the end.
-    losses = [s.loss for s in result.history if s.phase == phase and s.start == result.history[-1].start]
-    if len(losses) < 2:
-        return None
-    late = max(len(losses) // 4, 1)
-    # By minima, since the solver rejects some steps.
-    early, least = min(losses[:-late]), min(losses)
-    return (1 - least / early if early > 0 else 0.0), late
-
-
 def _named(phase: Outcome) -> str:
-    return f"width {phase.width:.3g} texels" if phase.width else f"blur {phase.blur:.3g} pixels"
+    value, unit = (phase.width, "texel") if phase.width else (phase.blur, "pixel")
+    return f"{'width' if phase.width else 'blur'} {value:.3g} {unit if value == 1 else plural(unit)}"
 
 
 def _flat(config: Config | None, name: str) -> str:
@@ -128,12 +133,20 @@ def _flat(config: Config | None, name: str) -> str:
 
 
 def _on_bounds(config: Config | None, parameters: Sequence[Parameter], result: FitResult) -> Iterator[str]:
-    """A sentence for each value on a bound beyond which the error may fall further."""
+    """A sentence for each value on a bound beyond which the error may fall further. Of a picture, also for one at the
+    limit of its key, which nothing can be beyond."""
     named = {parameter.name: parameter for parameter in parameters}
     for name, side, bound, falls in result.at_bounds:
+        if not falls or name in result.flat:
+            continue
+        lower, upper, unit = named[name].lower, named[name].upper, named[name].unit
+        where = f"{name} ended on its {side} bound, {text_within(bound, lower, upper, 6)} {unit}".rstrip()
         # Values without a key have no known limits.
-        is_end = config is not None and is_limit(config, name, bound)
-        if falls and name not in result.flat and not is_end:
-            lower, upper, unit = named[name].lower, named[name].upper, named[name].unit
-            where = f"{name} ended on its {side} bound, {text_within(bound, lower, upper, 6)} {unit}".rstrip()
+        if config is None or not is_limit(config, name, bound):
             yield f"{where}, where the error still falls: the best value may lie beyond it, so widen the bounds"
+        elif what_is_fitted(result) == "picture":
+            yield (
+                f"{where}, where the error still falls. That is the limit of {name}, so no bounds can be wider: "
+                "something that is not fitted differs from the picture; fit more of the scene as well, such as lights, "
+                "colours or reference.exposure"
+            )

@@ -1,17 +1,41 @@
-"""Remarks on how maps are laid out: what they have no memory or no level for."""
+"""Remarks on how maps are laid out: what they have no memory or no level for, and cascades that are not stable."""
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 from ... import shadow
-from .._drawn import Drawn
+from ...config import Config
+from ...settings.techniques import Cascades
 
 
 def layout_remarks(
-    technique: shadow.AbstractTechnique | shadow.FittableTechnique, drawn: Sequence[Drawn]
+    technique: shadow.AbstractTechnique | shadow.FittableTechnique, keys: Sequence[str], states: Sequence[Any]
 ) -> Iterator[str]:
-    """A sentence for each light and each remark of the layout of `technique`, if it has one."""
+    """A sentence for each light and each remark of the layout of `technique`, if it has one.
+
+    **Arguments:** `keys`, `states`: of each light, and the technique's state for it.
+    """
     if not isinstance(technique, shadow.ShadowMapping):
         return
-    for each in drawn:
-        for remark in technique.layout.remarks(each.state.light):
-            yield f"{each.key} {remark}"
+    for key, state in zip(keys, states, strict=True):
+        for remark in technique.layout.remarks(state.light):
+            yield f"{key} {remark}"
+
+
+def frames_remarks(frames: Sequence[Config]) -> Iterator[str]:
+    """A sentence if stabilized cascades are not stable from one of `frames` to the next, although they could be."""
+    first = frames[0]
+    technique, camera = first.technique, first.scene.camera
+    if not (isinstance(technique, Cascades) and technique.stabilize) or technique.depths == "surface":
+        return
+    if all(frame.scene.camera == camera and frame.scene.meshes == first.scene.meshes for frame in frames):
+        return
+    ends = technique.distances is not None or technique.shadow_distance is not None
+    found = [name for name in ("near", "far") if getattr(camera, name) is None and not (name == "far" and ends)]
+    if found:
+        keys = " and ".join(f"scene.camera.{name}" for name in found)
+        yield (
+            f"cascades are not stable from frame to frame, although technique.stabilize is true: {keys} "
+            f"{'is' if len(found) == 1 else 'are'} found for each frame anew, so that cascades change size; set "
+            f"{'it' if len(found) == 1 else 'them'} for stable ones"
+        )

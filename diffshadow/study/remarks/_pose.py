@@ -5,23 +5,30 @@ from collections.abc import Iterator
 from ... import fit
 from ...config import Config
 from ...settings.scene import SpotLight
+from ._course import what_is_fitted
+
+_IN_PICTURES = "since no pixel of the picture changes with it near its start: try another initial value"
 
 
-def pose_remarks(config: Config | None, result: fit.FitResult, *, is_explained: bool = True) -> Iterator[str]:
-    """A sentence for each parameter that the image does not determine, with the cause.
+def pose_remarks(config: Config | None, result: fit.FitResult, *, is_known: bool = True) -> Iterator[str]:
+    """A sentence for each parameter that the image, or the picture, does not determine, with the cause.
 
     **Arguments:**
 
-    - `is_explained`: whether the fit explains the image. If not, nothing is said of how well it determines the values.
+    - `is_known`: whether the fit converged and explains the image. If not, nothing is said of how well it determines
+        the values.
     """
+    what = what_is_fitted(result)
     for name in result.flat:
-        yield f"{name} was not fitted: its gradient is zero throughout, {_cause(config, name)}"
-    for group in () if result.precision is None or not is_explained else result.precision.undetermined:
+        # A picture also shows what has no shadow.
+        cause = _IN_PICTURES if what == "picture" else _cause(config, name)
+        yield f"{name} was not fitted: its gradient is zero throughout, {cause}"
+    for group in () if result.precision is None or not is_known else result.precision.undetermined:
         if len(group) == 1:
-            yield f"the image hardly determines {group[0]}: other values of it fit as well"
+            yield f"the {what} hardly determines {group[0]}: other values of it fit as well"
         else:
             listed = f"{', '.join(group[:-1])} and {group[-1]}"
-            yield f"the image hardly determines {listed}: they can change together and fit as well"
+            yield f"the {what} hardly determines {listed}: they can change together and fit as well"
     if result.enlargements:
         yield f"memory for silhouettes was enlarged {result.enlargements} times during the fit; each time recompiles"
 

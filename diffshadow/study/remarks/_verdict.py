@@ -5,12 +5,14 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from ..._words import counted
 from ...config import Config, FitPlan
 from ...fit import FitResult
 from ..pages._table import UNEXPLAINED
+from ._course import was_cut_short, what_is_fitted
 
 BEST_ALREADY = "best already"
-Kind = Literal["unexplained", "best already", "nothing fitted", "fitted"]
+Kind = Literal["unexplained", "best already", "cut short", "nothing fitted", "fitted"]
 
 # If this many parameters precede the last one, a sentence counts them instead of naming them.
 _MANY = 3
@@ -61,7 +63,8 @@ class Verdict(NamedTuple):
     """What a fit comes to.
 
     - `kind`: `"unexplained"` if it does not explain its references, `"best already"` if the start is as good as the
-        result, `"nothing fitted"` if no parameter has a slope, and otherwise `"fitted"`.
+        result, `"cut short"` if the solver had too few steps to tell, `"nothing fitted"` if no parameter has a slope,
+        and otherwise `"fitted"`.
     - `sentence`: that in words, without a full stop.
     - `remedies`: what to try, a sentence each.
     - `constant_rmse`: the least RMSE of constant images, if the references are not explained.
@@ -94,21 +97,24 @@ def verdict(
     names = _listed(list(result.fitted))
     if set(result.flat) == set(result.fitted):
         return Verdict("nothing fitted", f"nothing was fitted: the error does not change with {names} near the start")
+    if _was_best(plan, result) and was_cut_short(result):
+        return Verdict("cut short", _cut_short(result, before, after))
     if _was_best(plan, result):
         return Verdict(BEST_ALREADY, _best_already(plan, result, before, after))
     if after >= before:
         # Of another loss, or by preference.
         return Verdict(
             "fitted",
-            f"fitting {names} changed the RMSE from {before:.4f} to {after:.4f} in {result.steps} steps; the fit's own "
-            f"loss fell from {result.errors[0] ** 2:.3g} to {result.errors[1] ** 2:.3g}",
+            f"fitting {names} changed the RMSE from {before:.4f} to {after:.4f} in {counted(result.steps, 'step')}; "
+            f"the fit's own loss fell from {result.errors[0] ** 2:.3g} to {result.errors[1] ** 2:.3g}",
         )
+    whose = "picture's" if what_is_fitted(result) == "picture" else "shadow's"
     factor = before / max(after, 1e-12)
     by = f"a factor of {factor:.1f}" if factor >= _MUCH_BETTER else f"{100 * (1 - 1 / factor):.1f} %"
     return Verdict(
         "fitted",
-        f"fitting {names} reduced the shadow's error from {before:.4f} to {after:.4f} RMSE, by {by}, in {result.steps} "
-        "steps",
+        f"fitting {names} reduced the {whose} error from {before:.4f} to {after:.4f} RMSE, by {by}, in "
+        f"{counted(result.steps, 'step')}",
     )
 
 
@@ -124,6 +130,12 @@ def _was_best(plan: FitPlan, result: FitResult) -> bool:
     is_own = np.allclose(starts, list(result.initial.values()), rtol=1e-5, atol=0)
     before, best = result.errors
     return is_own and before <= (1 + plan.tolerance) * best
+
+
+def _cut_short(result: FitResult, before: float, after: float) -> str:
+    steps = counted(result.steps, "step")
+    error = f"stayed at {before:.4f}" if before == after else f"went from {before:.4f} to {after:.4f}"
+    return f"the fit ended before it converged: its RMSE {error} in {steps}, and more steps may find better values"
 
 
 def _best_already(plan: FitPlan, result: FitResult, before: float, after: float) -> str:

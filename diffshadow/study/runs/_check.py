@@ -12,6 +12,7 @@ from ...settings.engines import Engine
 from ...settings.techniques import Mapped
 from ..files._run_folder import folder_of
 from ..pages import _table as table
+from ..remarks._layout import layout_remarks
 from ..remarks._scene import scene_remarks
 from ._picture import picture_plan
 from ._progress import Stages
@@ -63,7 +64,8 @@ def check(config: Config, *, console: Console, preview: bool = False) -> Checked
         if fits and config.fit.views is None:
             check_comparable(config, seen, stages)
     of_scene = scene_remarks(config, technique, seen.lit, seen.surface)
-    table.print_lines(console, [*remarks, *seen.remarks, *of_scene], warn=True)
+    of_layout = layout_remarks(technique, [".".join(map(str, key)) for key in seen.keys], seen.states)
+    table.print_lines(console, [*remarks, *seen.remarks, *of_scene, *of_layout], warn=True)
     triangles = int(scene.mesh.faces.shape[0])
     return Checked(triangles, *_preview(config, technique, seen)) if preview else Checked(triangles)
 
@@ -100,4 +102,5 @@ def _check_shape(config: Config, console: Console) -> Checked:
     with Stages(console) as stages:
         plan, problem, _ = shape_problem(config, stages)
         fit.check_shape(problem, plan.phases)
+    table.print_lines(console, plan.remarks, warn=True)
     return Checked(plan.start.faces.shape[0])

@@ -27,6 +27,8 @@ class Checkpoint:
         # Only the same configuration goes on; input files may have changed unnoticed.
         self._key = hashlib.sha256(dump_resolved(config).encode("utf-8", "backslashreplace")).hexdigest()
         self._written = time.monotonic()
+        # The step that the file is of, once it is known.
+        self._step: int | None = None
 
     def read(self) -> fit.ShapeState | None:
         """Where the fit was stopped; none if there is no checkpoint of this configuration, or a damaged one."""
@@ -41,6 +43,7 @@ class Checkpoint:
                 history = tuple((int(phase), float(loss)) for phase, loss in stored["history"])
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
             return None
+        self._step = len(history)
         return fit.ShapeState(**numbers, **arrays, losses=losses, history=history)
 
     def at(self, state: fit.ShapeState) -> None:
@@ -49,13 +52,17 @@ class Checkpoint:
             self.write(state)
 
     def write(self, state: fit.ShapeState) -> None:
-        """Writes `state`."""
+        """Writes `state`.
+
+        **Raises** `FullDiskError` if no space is left; the last checkpoint then stays.
+        """
         arrays = {name: getattr(state, name) for name in (*_ARRAYS, *_NUMBERS, "losses")}
         history = np.asarray(state.history, np.float64).reshape(-1, 2)
         self.file.parent.mkdir(parents=True, exist_ok=True)
-        with io.atomic_path(self.file) as temporary:
+        kept = "" if self._step is None else f"; the fit then goes on after step {self._step}, which is kept"
+        with io.naming_full_disks(self.file, kept), io.atomic_path(self.file) as temporary:
             np.savez(temporary, allow_pickle=False, key=self._key, history=history, **arrays)
-        self._written = time.monotonic()
+        self._written, self._step = time.monotonic(), len(state.history)
 
     def remove(self) -> None:
         """Removes the file of a finished fit."""

@@ -80,10 +80,20 @@ class EngineFit(NamedTuple):
     parameters: Mapping[str, Mapping[str, float]]
 
 
+def bias_of_a_texel(engine: Any, lit: Sequence[Lit]) -> float:
+    """The bias of three.js or Babylon.js that is a texel towards the light, of the light for which it is largest."""
+    if isinstance(engine, ThreeJs):
+        return -max(each.depth_per_texel for each in lit)
+    if any(each.is_point for each in lit):
+        views = [each.scene.light.view() for each in lit]
+        return max(each.texel / float(view.near + view.far) for each, view in zip(lit, views, strict=True))
+    # Depth from -1 to 1.
+    return 2 * max(each.depth_per_texel for each in lit)
+
+
 def three_js(config: Config, lit: Sequence[Lit]) -> EngineFit:
     """Of three.js, with its filter `PCFShadowMap`. Faces cast as in `config`."""
-    depth = max(each.depth_per_texel for each in lit)
-    given = config.technique
+    given, one = config.technique, bias_of_a_texel(ThreeJs(), lit)
     sides = (
         {"side": given.side, "shadow_side": given.shadow_side}
         if isinstance(given, ThreeJs)
@@ -93,7 +103,7 @@ def three_js(config: Config, lit: Sequence[Lit]) -> EngineFit:
     return EngineFit(
         {"type": "three.js", "shadow_type": "PCFShadowMap", **sides},
         {
-            "bias": _bounds(-min(_START * depth, 1), -min(_MAX_BIAS * depth, 1), 0),
+            "bias": _bounds(max(_START * one, -1), max(_MAX_BIAS * one, -1), 0),
             "normal_bias": _bounds(0, 0, _MAX_OFFSET * max(each.texel for each in lit)),
             "radius": _bounds(radius, 0, MAX_RADIUS),
         },
@@ -105,12 +115,7 @@ def babylon_js(config: Config, lit: Sequence[Lit], kind: BabylonFilter | None = 
     is_point = any(each.is_point for each in lit)
     # The engine draws PCF under a point light with the taps of POISSONSAMPLING.
     kind = kind or ("POISSONSAMPLING" if is_point else "PCF")
-    if is_point:
-        views = [each.scene.light.view() for each in lit]
-        metric = max(each.texel / float(view.near + view.far) for each, view in zip(lit, views, strict=True))
-    else:
-        # Depth from -1 to 1.
-        metric = 2 * max(each.depth_per_texel for each in lit)
+    metric = bias_of_a_texel(BabylonJs(), lit)
     given = config.technique
     sides = (
         {"back_face_culling": given.back_face_culling, "force_back_faces_only": given.force_back_faces_only}

@@ -9,6 +9,7 @@ from rich.console import Console
 
 from ... import fit, shadow
 from ..._arithmetic import as_array, as_float
+from ..._words import counted
 from ...config import Config, build_fittable
 from .._drawn import Drawn
 from ..files._run_folder import folder_of
@@ -77,7 +78,7 @@ def run_fit(config: Config, *, console: Console) -> Path:
     if fitted.plan.arrangement is not None:
         poses.print_poses(console, fitted.plan, fitted.result)
     table.print_lines(
-        console, [f"errors are under the hard compare; {noise}", f"{steps} steps, {seconds:.1f} s in all"]
+        console, [f"errors are under the hard compare; {noise}", f"{counted(steps, 'step')}, {seconds:.1f} s in all"]
     )
     for key, code in fitted.code.items():
         table.print_code(console, f"{CODE}, for {key}:", code)
@@ -106,7 +107,7 @@ def fit_technique(config: Config, stages: Stages, on_step: Callable[[fit.Step], 
     said = verdict(config, plan, result, of_seen(errors_before)["rmse"], of_seen(errors_after)["rmse"], left)
     messages = [
         *views.remarks,
-        *layout_remarks(technique, drawn),
+        *layout_remarks(technique, [each.key for each in drawn], [each.state for each in drawn]),
         *(reference_remarks(config, drawn) if len(views.all) == 1 else []),
         *remarks(config, plan, result, said.kind),
     ]

@@ -12,12 +12,15 @@ from rich.table import Table
 from ... import fit, geometry, io, metrics, raster
 from ..._arithmetic import as_float
 from ..._types import HostArray
+from ..._words import counted
 from ...config import Config, ConfigError, FitPlan, Mistake, build_shadow_mapping
 from ...settings.reference import Encoding, PictureReference
 from ...shading import AbstractShading, to_srgb
 from ..files._run_folder import folder_of, write_whole
 from ..files._stored import PICTURE, PICTURE_STATES, add_files
 from ..pages import _table as table
+from ..remarks._fit import remarks
+from ..remarks._verdict import Unexplained, Verdict, verdict
 from . import _pose as poses
 from . import _record as record
 from ._progress import Stages
@@ -35,7 +38,7 @@ class FittedPicture(NamedTuple):
     """A finished fit to a picture.
 
     - `pictures`: the reference, and the picture before and after, in their encoding.
-    - `placed`: the fitted scene.
+    - `measured`: the errors of the picture before and after the fit; `placed`: the fitted scene.
     - `config`: none of a fit that was made in Python.
     """
 
@@ -47,6 +50,8 @@ class FittedPicture(NamedTuple):
     mask: Bool[HostArray, "h w"]
     encoding: str
     placed: geometry.Scene
+    measured: dict[str, Any]
+    verdict: Verdict
     remarks: list[str]
 
 
@@ -65,8 +70,8 @@ def run_picture(config: Config, *, console: Console) -> Path:
         with stages.stage("measuring"):
             fitted = _finished(config.name, config, plan, result, planned.remarks)
         with stages.stage("writing"):
-            measured = write_picture(folder, fitted, stages.seconds)
-    _print(console, fitted, measured, sum(stages.seconds.values()))
+            write_picture(folder, fitted, stages.seconds)
+    _print(console, fitted, sum(stages.seconds.values()))
     return folder
 
 
@@ -157,16 +162,14 @@ def shown(picture: Picture, encoding: str) -> Picture:
     return np.clip(picture, 0, 1) if encoding == "srgb" else encoded(picture, "srgb")
 
 
-def write_picture(folder: Path, fitted: FittedPicture, seconds: dict[str, float]) -> dict[str, Any]:
-    """Writes the run's folder; `seconds` are the times of its stages. **Returns** the metrics of its result."""
-    measured = _measured(fitted)
-    result = _result(folder, fitted, measured, seconds)
+def write_picture(folder: Path, fitted: FittedPicture, seconds: dict[str, float]) -> None:
+    """Writes the run's folder; `seconds` are the times of its stages."""
+    result = _result(folder, fitted, seconds)
     write_whole(folder, lambda draft: _write(draft, fitted, result))
-    return measured
 
 
 def _finished(
-    name: str, config: Config | None, plan: FitPlan, result: fit.FitResult, remarks: list[str]
+    name: str, config: Config | None, plan: FitPlan, result: fit.FitResult, of_scene: list[str]
 ) -> FittedPicture:
     problem: Any = result.problems[0]
     arrangement = result.arrangement
@@ -177,47 +180,43 @@ def _finished(
     at = lambda subject: np.asarray(problem.picture(subject))
     pictures = {"reference": np.asarray(problem.reference), "before": at(start), "after": at(arrangement)}
     mask = np.asarray(problem.weight) > 0
-    remarks = [*remarks, *_remarks(result)]
     placed = arrangement.placed(problem.scene)
-    return FittedPicture(name, config, plan, result, pictures, mask, problem.encoding, placed, remarks)
+    measured, constant = _measured(pictures, mask, problem.encoding)
+    before, after = (measured[state]["rmse"] for state in PICTURE_STATES[1:])
+    # One colour all over a picture of one colour has no error.
+    left = Unexplained(after, constant) if after >= constant > 0 else None
+    said = verdict(config, plan, result, before, after, left)
+    messages = [*of_scene, *remarks(config, plan, result, said.kind)]
+    return FittedPicture(name, config, plan, result, pictures, mask, problem.encoding, placed, measured, said, messages)
 
 
-def _remarks(result: fit.FitResult) -> list[str]:
-    remarks = [f"{name} has no effect on the picture, and stayed where it began" for name in result.flat]
-    remarks += [
-        f"{each.name} ended on its {each.side} bound, {each.value:g}, where the error still falls: widen it"
-        for each in result.at_bounds
-        if each.falls
-    ]
-    for names in () if result.precision is None else result.precision.undetermined:
-        remarks.append(f"the picture hardly determines {' together with '.join(names)}")
-    return remarks
-
-
-def _measured(fitted: FittedPicture) -> dict[str, Any]:
-    """The errors of the picture before and after the fit."""
-    truth = fitted.pictures["reference"]
-    found: dict[str, Any] = {"pixels": int(fitted.mask.sum()), "resolution": list(fitted.mask.shape)}
+def _measured(
+    pictures: dict[str, Picture], mask: Bool[HostArray, "h w"], encoding: str
+) -> tuple[dict[str, Any], float]:
+    """The errors of the picture before and after the fit, and the least RMSE of a picture of one colour."""
+    truth = pictures["reference"]
+    found: dict[str, Any] = {"pixels": int(mask.sum()), "resolution": list(mask.shape)}
     for state in PICTURE_STATES[1:]:
-        image = fitted.pictures[state]
-        difference = (image - truth)[fitted.mask]
+        image = pictures[state]
+        difference = (image - truth)[mask]
         errors: dict[str, float | None] = {
             "rmse": float(np.sqrt(np.mean(difference**2))),
             "mae": float(np.abs(difference).mean()),
             "flip": None,
         }
         try:
-            drawn, original = (shown(each, fitted.encoding) for each in (image, truth))
-            errors["flip"], _ = metrics.flip(drawn, original, fitted.mask)
+            drawn, original = (shown(each, encoding) for each in (image, truth))
+            errors["flip"], _ = metrics.flip(drawn, original, mask)
         except ImportError:
             pass
         found[state] = errors
-    return found
+    return found, float(np.sqrt(np.mean(np.var(truth[mask].astype(np.float64), axis=0))))
 
 
-def _result(folder: Path, fitted: FittedPicture, measured: dict[str, Any], seconds: dict[str, float]) -> dict[str, Any]:
+def _result(folder: Path, fitted: FittedPicture, seconds: dict[str, float]) -> dict[str, Any]:
     result, config, camera = fitted.result, fitted.config, fitted.placed.camera
     return {
+        "verdict": fitted.verdict._asdict(),
         "name": fitted.name,
         "kind": PICTURE,
         "encoding": fitted.encoding,
@@ -227,7 +226,7 @@ def _result(folder: Path, fitted: FittedPicture, measured: dict[str, Any], secon
         "truth": fitted.plan.truth,
         "deviations": {} if result.precision is None else result.precision.deviations,
         "camera": {key: np.asarray(getattr(camera, key)).tolist() for key in ("eye", "target", "up")},
-        "metrics": measured,
+        "metrics": fitted.measured,
         "steps": result.steps,
         "warnings": fitted.remarks,
         "seconds": {name: round(s, 3) for name, s in seconds.items()},
@@ -259,8 +258,10 @@ def _write(draft: Path, fitted: FittedPicture, result: dict[str, Any]) -> None:
     add_files(draft, [report_picture(draft).name])
 
 
-def _print(console: Console, fitted: FittedPicture, measured: dict[str, Any], seconds: float) -> None:
-    before, after = (measured[state] for state in PICTURE_STATES[1:])
+def _print(console: Console, fitted: FittedPicture, seconds: float) -> None:
+    said = fitted.verdict
+    table.print_lines(console, [said.sentence, *said.remedies], warn=said.kind == table.UNEXPLAINED)
+    before, after = (fitted.measured[state] for state in PICTURE_STATES[1:])
     errors = Table("", "before", "after", title=fitted.name, title_justify="left")
     for column in errors.columns[1:]:
         column.justify = "right"
@@ -270,7 +271,7 @@ def _print(console: Console, fitted: FittedPicture, measured: dict[str, Any], se
     console.print(errors)
     poses.print_poses(console, fitted.plan, fitted.result)
     table.print_lines(console, fitted.remarks, warn=True)
-    table.print_lines(console, [f"{fitted.result.steps} steps, {seconds:.1f} s in all"])
+    table.print_lines(console, [f"{counted(fitted.result.steps, 'step')}, {seconds:.1f} s in all"])
 
 
 def _with_spare_depth(config: Config, scene: geometry.Scene) -> geometry.Scene:

@@ -82,7 +82,7 @@ def _remarks(rendered: Rendered) -> list[str]:
     return [
         *drawn[0].remarks,
         *scene_remarks(config, technique, [each.scene for each in drawn], drawn[0].surface),
-        *layout_remarks(technique, drawn),
+        *layout_remarks(technique, [each.key for each in drawn], [each.state for each in drawn]),
         *reference_remarks(config, drawn),
     ]
 

@@ -10,6 +10,7 @@ from rich.console import Console
 
 from ... import fit, reference
 from ..._checks import check_instance
+from ..._words import counted
 from ...config import FitPlan
 from .._drawn import Drawn
 from ..files._run_folder import checked_folder
@@ -57,8 +58,9 @@ def save_fit(result: fit.FitResult, folder: str | os.PathLike[str], *, names: Se
     if len(shapes) != 1 or not result.parameters:
         listed = " and ".join(f"{height} x {width}" for height, width in shapes) or "no"
         raise ValueError(
-            f"the fit has images of {listed} pixels, (height x width), and {len(result.parameters)} parameters; "
-            "expected images of one size, and what fit.fit returned: save one fit for each size"
+            f"the fit has images of {listed} pixels, (height x width), and "
+            f"{counted(len(result.parameters), 'parameter')}; expected images of one size, "
+            "and what fit.fit returned: save one fit for each size"
         )
     stages = Stages(Console(quiet=True))
     stages.seconds |= {"compiling": result.seconds_compiling, "fitting": result.seconds_running}
@@ -100,7 +102,8 @@ def _measured(
     left = unexplained(fitted_images(views, drawn, after, seen[1], result))
     at_first, at_last = (record.combined(errors, drawn)["rmse"] for errors in (errors_before, errors_after))
     said = verdict(None, plan, result, at_first, at_last, left)
-    messages = [*layout_remarks(result.technique, drawn), *remarks(None, plan, result, said.kind)]
+    of_layout = layout_remarks(result.technique, [each.key for each in drawn], [each.state for each in drawn])
+    messages = [*of_layout, *remarks(None, plan, result, said.kind)]
     errors = errors_before, errors_after
     has_scene = all(each.scene is not None for each in drawn)
     return FittedRun(name, None, plan, views, drawn, result, before, after, *errors, messages, seen, said, has_scene)

@@ -16,6 +16,9 @@ from ..._types import HostArray
 from ...config import Config, ConfigError, Mistake, Screen, ShapePlan, build_shape
 from ..files._run_folder import folder_of, write_whole
 from ..files._stored import SHAPE, add_files
+from ..pages._table import print_lines
+from ..remarks._shape import shape_remarks, shape_verdict
+from ..remarks._verdict import Verdict
 from . import _record as record
 from ._checkpoint import Checkpoint
 from ._progress import Stages
@@ -46,6 +49,11 @@ class FittedShapeRun(NamedTuple):
     unseen: list[tuple[Image, Image]]
     steps: list[tuple[HostArray, HostArray]]
 
+    @property
+    def remarks(self) -> list[str]:
+        """Sentences on the images that are its targets, and on how the fit went."""
+        return [*self.plan.remarks, *shape_remarks(self.result)]
+
 
 def run_shape(config: Config, *, console: Console) -> Path:
     """Fits the shape of `config`, prints how close it is, and writes the run's folder.
@@ -62,11 +70,14 @@ def run_shape(config: Config, *, console: Console) -> Path:
         fitted = fit_configured_shape(config, stages, checkpoint)
         with stages.stage("measuring"):
             measured = _measured(fitted)
+            said = shape_verdict(fitted.result, measured)
         with stages.stage("writing"):
-            result = _result(folder, fitted, measured, stages.seconds)
+            result = _result(folder, fitted, measured, said, stages.seconds)
             write_whole(folder, lambda draft: _write(draft, fitted, result))
     checkpoint.remove()
+    print_lines(console, [said.sentence, *said.remedies])
     _print(console, config.name, measured, sum(stages.seconds.values()))
+    print_lines(console, fitted.remarks, warn=True)
     return folder
 
 
@@ -95,7 +106,7 @@ def shape_problem(config: Config, stages: Stages | None = None) -> tuple[ShapePl
 def fit_configured_shape(config: Config, stages: Stages, checkpoint: Checkpoint) -> FittedShapeRun:
     """Fits the shape of `config`.
 
-    **Raises** `ConfigError` for a mistake in the configuration.
+    **Raises** `ConfigError` for a mistake in the configuration; `FileError` if no space is left for the checkpoint.
     """
     plan, problem, targets = shape_problem(config, stages)
     kept: list[tuple[HostArray, HostArray]] = [(np.asarray(plan.start.vertices), np.asarray(plan.start.faces))]
@@ -103,6 +114,9 @@ def fit_configured_shape(config: Config, stages: Stages, checkpoint: Checkpoint)
         try:
             watch = _watch(stages, plan, checkpoint, kept)
             result = fit.fit_shape(problem, plan.phases, on_step=watch, resume=checkpoint.read())
+        except io.FileError:
+            # Of the checkpoint.
+            raise
         except ValueError as error:
             raise _error(config, str(error)) from error
     with stages.stage("tracing result"):
@@ -181,17 +195,19 @@ def _degrees_between(
 
 
 def _result(
-    folder: Path, fitted: FittedShapeRun, measured: dict[str, Any], seconds: dict[str, float]
+    folder: Path, fitted: FittedShapeRun, measured: dict[str, Any], said: Verdict, seconds: dict[str, float]
 ) -> dict[str, Any]:
     result, config = fitted.result, fitted.config
     steps = [sum(phase == k for phase, _ in result.history) for k in range(len(fitted.plan.phases))]
     return {
+        "verdict": said._asdict(),
         "name": config.name,
         "kind": SHAPE,
         "metrics": measured,
         "vertices": len(result.mesh.vertices),
         "chosen_phase": result.chosen,
         "phases": [{"steps": n, "loss": loss} for n, loss in zip(steps, result.losses, strict=True)],
+        "warnings": fitted.remarks,
         "seconds": {name: round(s, 3) for name, s in seconds.items()},
         "versions": record.versions(),
         "seed": config.seed,
@@ -237,8 +253,6 @@ def _print(console: Console, name: str, measured: dict[str, Any], seconds: float
     if "chamfer" in measured:
         share = measured["chamfer"] / measured["size"]
         lines.append(f"Chamfer distance {measured['chamfer']:.4g} world units, {share:.2%} of the shape's size")
-    if pairs := measured["self_intersections"]:
-        lines.append(f"the surface intersects itself, in {pairs} pairs of faces")
     for light in measured.get("moved", ()):
         lines.append(
             f"{light['light']} is {light['after']:.3f}° from its place in the scene, {light['before']:.3f}° before"

@@ -18,6 +18,8 @@ _ELEVATION = 20.0
 # Of the sphere round the shape.
 _MARGIN = 1.05
 _ALBEDO = np.array([0.86, 0.62, 0.38])
+# Of faces that are seen from behind, so that a fold or a hole shows.
+_BEHIND = np.array([0.30, 0.47, 0.80])
 _BACKGROUND = 0.97
 
 
@@ -47,7 +49,18 @@ def _frames(meshes: Sequence[geometry.Mesh], turn: float) -> Frames:
         )
         seen = raster.draw_surface(mesh, camera)
         towards = np.asarray(eye) - middle + 0.6 * radius * np.array([0.0, 3.0, 0.0])
-        colours = lit(np.asarray(seen.normal), towards, _ALBEDO)
+        outwards = _outward_normals(mesh)[np.asarray(seen.face)]
+        behind = outwards @ (np.asarray(eye) - middle) < 0
+        colours = lit(np.asarray(seen.normal), towards, np.where(behind[..., None], _BEHIND, _ALBEDO))
         image = np.where(np.asarray(seen.mask)[..., None], colours, _BACKGROUND)
         frames.append(image.reshape(_SIDE, _FINE, _SIDE, _FINE, 3).mean(axis=(1, 3)))
     return np.stack(frames)
+
+
+def _outward_normals(mesh: geometry.Mesh) -> Float[HostArray, "f 3"]:
+    """The normals of faces, turned outwards all together if the mesh is wound inwards."""
+    corners = np.asarray(mesh.vertices, np.float64)[np.asarray(mesh.faces)]
+    a, b, c = np.moveaxis(corners - corners.mean(axis=(0, 1)), 1, 0)
+    normals = np.cross(b - a, c - a)
+    # The sum is six times the volume inside.
+    return normals if np.einsum("ij,ij->", a, normals) >= 0 else -normals

@@ -5,8 +5,6 @@ its runs. Figures and limits go through a folder of the worker's own, which has 
 prefix is cut out of all that is returned, so that text names paths as the sweep's process does.
 """
 
-import functools
-import importlib.metadata
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,9 +14,9 @@ from ..._memory import collect_rarely
 from ..._xla import use_all_cores
 from ...config import SweepRun
 from ..files._run_folder import remove
+from ._code import PACKAGE, own_code
 from ._work import FIGURES, RUNS, Batch, Outcome, do, files_of, write_files
 
-PACKAGE = "diffshadow"
 # The folder of copies of input files, in the worker's own.
 _COPIES = "inputs"
 
@@ -30,12 +28,12 @@ class Returned(NamedTuple):
     files: Mapping[str, bytes]
 
 
-class WrongVersionError(RuntimeError):
-    """A worker has another version of this package."""
+class WrongCodeError(RuntimeError):
+    """A worker has other code of this package."""
 
 
 def work_apart(
-    version: str,
+    code: tuple[str, ...],
     pickled: bytes,
     contents: Mapping[str, bytes],
     references: Mapping[str, bytes],
@@ -45,20 +43,20 @@ def work_apart(
 
     **Arguments:**
 
-    - `version`: of this package.
+    - `code`: of this package, where the sweep was started, as a `Code`.
     - `pickled`: a `Batch`, and the hash of each of its input files by path.
     - `contents`: of these files by hash.
     - `references`: cached references by their keys; `missing`: the keys of others.
 
     **Returns** the runs, and the missing references that are cached now.
 
-    **Raises** `WrongVersionError` if this worker has another version.
+    **Raises** `WrongCodeError` if this worker has other code; `FullDiskError` if it has no space left.
     """
     from distributed import get_worker
     from distributed.protocol.pickle import loads
 
-    if own_version() != version:
-        raise WrongVersionError(own_version())
+    if tuple(own_code()) != code:
+        raise WrongCodeError(str(own_code()))
     use_all_cores()
     collect_rarely()
     io.keep_compiled_programs()
@@ -69,16 +67,13 @@ def work_apart(
     batch, hashes = loads(pickled)
     folder = Path(f"{prefix}{batch.folder}")
     folder.mkdir(parents=True, exist_ok=True)
-    with io.reading_copies({path: copies[hash] for path, hash in hashes.items()}):
-        returned = [_done(batch._replace(folder=str(folder)), run, str(prefix)) for run in batch.runs]
+    try:
+        with io.reading_copies({path: copies[hash] for path, hash in hashes.items()}):
+            returned = [_done(batch._replace(folder=str(folder)), run, str(prefix)) for run in batch.runs]
+    except io.FullDiskError as error:
+        raise io.FullDiskError(f"{error} (on the Dask worker at {get_worker().address})") from error
     traced = {key: content for key in missing if (content := io.cached_content(key)) is not None}
     return returned, traced
-
-
-@functools.cache
-def own_version() -> str:
-    """The version of this package."""
-    return importlib.metadata.version(PACKAGE)
 
 
 def write_returned(batch: Batch, returned: Returned) -> None:

@@ -3,7 +3,6 @@
 Each local worker has one thread, so that one worker per core fills the machine without oversubscribing it.
 """
 
-import importlib.metadata
 import logging
 import os
 import time
@@ -18,7 +17,8 @@ import jax
 from ... import io
 from ..._memory import collect_rarely
 from ..._xla import use_all_cores
-from ._apart import PACKAGE, Returned, own_version, work_apart, write_returned
+from ._apart import Returned, work_apart, write_returned
+from ._code import PACKAGE, Code, asked_of, own_code
 from ._inputs import Sender
 from ._interrupts import POLL, deferred_interrupts, out_of_reach
 from ._work import FAILED, Batch, Outcome, work, write_outcome
@@ -31,12 +31,18 @@ _ONE_THREAD = {
 }
 # The most memory that a worker may need.
 _BYTES_PER_WORKER = 1_500_000_000
-# Seconds to wait for a scheduler, and for its first worker.
+# Seconds to wait for a scheduler.
 _CONNECT_TIMEOUT = 15
 # Seconds to wait for any answer from the address of a scheduler.
 _ANSWER_TIMEOUT = 60
-# Seconds to wait for a new worker after all have died. A busy machine is slow to start one.
-_WORKERS_TIMEOUT = 120
+# Seconds to wait for the first worker, or for a new one after all have died. A busy machine is slow to start one. After
+# so many of them, it is said what is awaited.
+_WORKERS_TIMEOUT, _SAID_AFTER = 120, 10
+# So many workers may die as they join, before any work is done, until that is an error.
+_DEATHS = 3
+# What a worker evaluates. A function of this package would end a worker that cannot import it, without a reason that
+# reaches this process. Nor need a scheduler have this package.
+_WORK_APART = "__import__('importlib').import_module(module).work_apart(*arguments)"
 # Batches per worker that are submitted at once: enough to keep workers busy, few enough for sweeps of a million runs.
 _BATCHES_AHEAD = 4
 
@@ -67,12 +73,21 @@ class OnCluster:
     - `interrupted`: called while waiting; it raises to stop the sweep.
     - `apart`: whether workers share no files with this process. Then inputs are sent to them, and what they return is
         written here.
+    - `say`: called with what is awaited if that takes long.
     """
 
-    def __init__(self, client: Any, interrupted: Callable[[], None] = lambda: None, *, apart: bool = False):
-        self._client, self._interrupted = client, interrupted
+    def __init__(
+        self,
+        client: Any,
+        interrupted: Callable[[], None] = lambda: None,
+        *,
+        apart: bool = False,
+        say: Callable[[str], None] = lambda text: None,
+    ):
+        self._client, self._interrupted, self._say = client, interrupted, say
         self._sender = Sender(client) if apart else None
         self._checked: set[str] = set()
+        self._died: set[str] = set()
 
     @property
     def programs(self) -> str | None:
@@ -88,7 +103,7 @@ class OnCluster:
         """The outcomes of all runs, in order of completion. If a worker dies, another one does its runs.
 
         **Raises** `OSError` if the scheduler or all workers are lost, or if a run cannot be written; `ValueError` if a
-        worker does not have this version of the package.
+        worker does not have this code of the package.
         """
         from distributed import KilledWorker, as_completed
 
@@ -99,7 +114,8 @@ class OnCluster:
         def submit(batch: Batch) -> None:
             task: tuple[Any, ...] = (_work_in_worker, batch)
             if self._sender is not None:
-                task = work_apart, own_version(), *self._sender.of(batch)
+                arguments = tuple(own_code()), *self._sender.of(batch)
+                task = eval, _WORK_APART, {"module": work_apart.__module__, "arguments": arguments}
             future = self._client.submit(*task, key=f"diffshadow-{uuid.uuid4().hex}", pure=False)
             waiting[future] = batch
             finished.add(future)
@@ -131,53 +147,116 @@ class OnCluster:
                         "and only the missing runs are done"
                     ) from None
                 except Exception:
-                    # Another version may fail in any way, before it can say so.
-                    self.check_versions(again=True)
+                    # Other code may fail in any way, before it can say so.
+                    if self._sender is not None:
+                        self.check_versions(again=True)
                     raise
                 else:
+                    self._died.clear()
                     yield from found if self._sender is None else _written(batch, *found)
                 fill()
         finally:
             self._client.cancel(list(waiting))
 
     def check_versions(self, *, again: bool = False) -> None:
-        """**Raises** `ValueError` if a worker has another version of this package, or does not have it.
+        """**Raises** `ValueError` if a worker has another version or other sources of this package, or cannot import
+        it.
 
         **Arguments:** `again`: whether to ask workers that were asked before.
         """
-        here = own_version()
         there = set(self._client.nthreads()) - (set() if again else self._checked)
         if not there:
             return
-        # A function that each Python has, so that nothing of this package is loaded.
-        found = self._client.run(importlib.metadata.version, PACKAGE, workers=list(there), on_error="return")
-        for address, version in sorted(found.items()):
-            if version != here:
-                has = f"has {PACKAGE} {version}" if isinstance(version, str) else f"does not have {PACKAGE}"
-                if isinstance(version, OSError):
-                    # The worker is gone.
-                    continue
+        # A function that each Python has, so that workers load nothing of this package before it is compared.
+        found = self._client.run(eval, asked_of(own_code().hash), workers=list(there), on_error="return")
+        for address, answer in sorted(found.items()):
+            if isinstance(answer, OSError):
+                # The worker is gone.
+                self._died.add(address)
+            elif isinstance(answer, Exception):
+                raise ValueError(f"the Dask worker at {address} cannot say which code it has: {answer}") from answer
+            elif (fault := _difference(Code(*answer), own_code())) is not None:
                 raise ValueError(
-                    f"the Dask worker at {address} {has}; expected {here}, as here: install it there "
-                    f"(pip install {PACKAGE}=={here}), then start the sweep again, and only the missing runs are done"
+                    f"the Dask worker at {address} {fault}; then start the sweep again, and only the missing runs are "
+                    "done"
                 )
-        self._checked |= there
+            else:
+                self._checked.add(address)
+        if len(self._died) >= _DEATHS:
+            raise ValueError(
+                f"{len(self._died)} Dask workers died as they were given work, the last at {max(self._died)}; expected "
+                "workers that stay: see their logs, which say why"
+            )
+
+    def wait_for_workers(self, scheduler: str) -> None:
+        """Waits for the first worker of the `scheduler` at this address.
+
+        **Raises** `ValueError` if none joins in time.
+        """
+        began, is_said = time.monotonic(), False
+        start = f"start it with dask worker {scheduler} --nthreads 1"
+        while not self.workers:
+            self._interrupted()
+            waited = time.monotonic() - began
+            if waited > _WORKERS_TIMEOUT:
+                raise ValueError(
+                    f"the Dask scheduler at {scheduler} has no workers after {_WORKERS_TIMEOUT} seconds; expected at "
+                    f"least one: {start}"
+                )
+            if waited > _SAID_AFTER and not is_said:
+                is_said = True
+                self._say(f"waiting for a worker of the Dask scheduler at {scheduler}, which has none yet: {start}")
+            time.sleep(POLL)
 
     def _next(self, finished: Any) -> Any:
-        """The next finished future. **Raises** `OSError` if all workers are lost, since Dask would wait forever."""
-        last_seen = time.monotonic()
+        """The next finished future.
+
+        **Raises** `OSError` if all workers are lost, and `ValueError` if those that join have other code, or die: Dask
+        would wait forever.
+        """
+        last_seen, is_said = time.monotonic(), False
         while not finished.has_ready():
             self._interrupted()
             time.sleep(POLL)
-            if self.workers:
-                last_seen = time.monotonic()
+            there = self._client.nthreads()
+            if self._sender is not None and not self._checked.issuperset(there):
+                self.check_versions()
+            if there:
+                last_seen, is_said = time.monotonic(), False
             elif time.monotonic() - last_seen > _WORKERS_TIMEOUT:
                 raise ConnectionError(
                     f"all Dask workers are gone, and no new one started within {_WORKERS_TIMEOUT} seconds; expected "
                     "at least one: find out why they died (too little memory?), then start the sweep again, and only "
                     "the missing runs are done"
                 )
+            elif time.monotonic() - last_seen > _SAID_AFTER and not is_said:
+                is_said = True
+                self._say("all Dask workers are gone: waiting for a new one")
         return next(finished)
+
+
+def _difference(there: Code, here: Code) -> str | None:
+    """How the code of a worker differs from the code here, and how to mend it; none if it does not."""
+    if not there.version:
+        return f"does not have {PACKAGE}; expected {here.version}, as here: {_install(here)}"
+    if there.version != here.version:
+        return (
+            f"has {PACKAGE} {there.version}; expected {here.version}, as here: {_install(here)} (the hash of its "
+            f"sources is {there.hash or 'unknown'}, and {here.hash} here)"
+        )
+    if there.hash and there.hash != here.hash:
+        return (
+            f"has other code of {PACKAGE} {there.version}, whose sources have the hash {there.hash}; expected "
+            f"{PACKAGE} {here.version} with {here.hash}, as here: install the same code there"
+        )
+    if there.fault:
+        reason = f"({there.fault}); expected that it can: install there what it lacks"
+        return f"cannot import {PACKAGE} {there.version} {reason}"
+    return None
+
+
+def _install(code: Code) -> str:
+    return f"install it there (pip install {PACKAGE}=={code.version})"
 
 
 def _written(batch: Batch, runs: Sequence[Returned], references: Mapping[str, bytes]) -> Iterator[Outcome]:
@@ -197,7 +276,9 @@ def _work_in_worker(batch: Batch) -> list[Outcome]:
 
 
 @contextmanager
-def pool(scheduler: str | None, workers: int | None, most: int) -> Iterator[InProcess | OnCluster]:
+def pool(
+    scheduler: str | None, workers: int | None, most: int, say: Callable[[str], None] = lambda text: None
+) -> Iterator[InProcess | OnCluster]:
     """Opens the pool that does the runs.
 
     **Arguments:**
@@ -206,9 +287,10 @@ def pool(scheduler: str | None, workers: int | None, most: int) -> Iterator[InPr
     - `workers`: number of local worker processes; by default one per core, as far as memory allows. With 0, all runs
         are done in this process.
     - `most`: the most local workers to start by default.
+    - `say`: called with what is awaited if that takes long.
 
-    **Raises** `ValueError` if there is no scheduler at the address, it has no workers, or one of them has another
-    version of this package.
+    **Raises** `ValueError` if there is no scheduler at the address, it has no workers, or one of them has other code of
+    this package.
     """
     if scheduler is None and workers == 0:
         yield InProcess()
@@ -224,8 +306,12 @@ def pool(scheduler: str | None, workers: int | None, most: int) -> Iterator[InPr
 
         opened = lambda: _local(most, workers) if scheduler is None else _reached(scheduler)
         with out_of_reach(opened, wait) as client:
-            where = OnCluster(client, interrupted, apart=scheduler is not None)
+            where = OnCluster(client, interrupted, apart=scheduler is not None, say=say)
             if scheduler is not None:
+                where.wait_for_workers(scheduler)
+                # `putenv`, since XLA reads the C environment. No effect if the worker has already used JAX.
+                for name, value in _ONE_THREAD.items():
+                    client.run(os.putenv, name, value)
                 where.check_versions()
             yield where
 
@@ -272,16 +358,6 @@ def _reached(scheduler: str) -> Iterator[Any]:
         client.close()
         raise _no_scheduler(scheduler, str(error)) from error
     with client:
-        try:
-            client.wait_for_workers(1, timeout=_CONNECT_TIMEOUT)
-        except TimeoutError as error:
-            raise ValueError(
-                f"the Dask scheduler at {scheduler} has no workers; expected at least one: start it with dask worker "
-                f"{scheduler} --nthreads 1"
-            ) from error
-        # `putenv`, since XLA reads the C environment. No effect if the worker has already used JAX.
-        for name, value in _ONE_THREAD.items():
-            client.run(os.putenv, name, value)
         yield client
 
 

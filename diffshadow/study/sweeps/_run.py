@@ -17,11 +17,13 @@ from rich.console import Console
 from rich.table import Table
 
 from ... import io
+from ..._words import counted
 from ...config import LABEL, Sweep, SweepRun, describe
 from ..files._run_folder import RESULT, folder_of, remove, write_whole
 from ..files._schema import as_stored, write_json
 from ..files._stored import SWEEP
 from ..pages import _table as table
+from ..remarks._layout import frames_remarks
 from ..runs import _record as record
 from ..runs._progress import counting
 from ._curves import Curve, columns_for, curves_of
@@ -65,7 +67,7 @@ def run_sweep(
 
     - `sweep`: the sweep.
     - `console`: where results are printed.
-    - `scheduler`: address of a Dask scheduler, whose workers have this version of the package. They need not see the
+    - `scheduler`: address of a Dask scheduler, whose workers have this code of the package. They need not see the
         same files. By default local workers are started. They import the calling script, which must do its work under
         `if __name__ == "__main__"`.
     - `workers`: number of local worker processes; by default one per core. With 0, the runs are done in this process.
@@ -74,11 +76,12 @@ def run_sweep(
     **Returns** the folder, `<output>/<name>-sweep`.
 
     **Raises** `ValueError` if another process is doing the sweep in this folder, or the scheduler cannot be reached;
-    `ConfigError` if the folder cannot be written.
+    `ConfigError` if the folder cannot be written; `FileError` if no space is left on its disk.
     """
     folder = folder_of(sweep.runs[0].config, SUFFIX).absolute()
     with doing(folder, sweep, SWEEP, console, scheduler, workers, limit) as (tables, tried):
         curves, remarks = _plotted(folder, sweep, tables.results)
+        remarks += _remarks_on_frames(sweep)
         counts = counts_of(tables.results)
         write_record(folder, record_of(sweep, SWEEP, counts))
         report_sweep(folder)
@@ -110,7 +113,7 @@ def doing(
     do the sweep.
     """
     _begin(folder, sweep, kind)
-    with _alone(folder):
+    with _alone(folder), _saying_what_is_kept(folder, sweep):
         _remove_drafts(folder)
         with counting(console, "looking for results", len(sweep.runs)) as progress:
             todo = missing_runs(sweep, folder, progress)[:limit]
@@ -174,7 +177,7 @@ def print_plan(console: Console, sweep: Sweep, limit: int | None = None, suffix:
         missing = missing_runs(sweep, folder)
         unique = len({sweep.runs.id(index) for index in range(count)})
         number = len(missing[:limit])
-        message = f"{count:,} runs; {unique - len(missing):,} are done; {number:,} would be done now"
+        message = f"{counted(count, 'run')}; {unique - len(missing):,} are done; {number:,} would be done now"
     else:
         missing = range(count)
         message = f"{count:,} runs, too many to check each of them here; {_results_in(folder)}"
@@ -190,7 +193,7 @@ def print_plan(console: Console, sweep: Sweep, limit: int | None = None, suffix:
 def _results_in(folder: Path) -> str:
     runs = folder / RUNS
     count = sum(not entry.name.startswith(".") for entry in os.scandir(runs)) if runs.is_dir() else 0
-    return f"{folder} has {count:,} folders of runs"
+    return f"{folder} has {counted(count, 'folder')} of runs"
 
 
 def _shown(value: Any) -> str:
@@ -207,6 +210,25 @@ def _begin(folder: Path, sweep: Sweep, kind: str) -> None:
         write_whole(folder, lambda draft: write_record(draft, record_of(sweep, kind, {})))
     io.check_writable(folder / RUNS)
     (folder / RUNS).mkdir(exist_ok=True)
+
+
+@contextlib.contextmanager
+def _saying_what_is_kept(folder: Path, sweep: Sweep) -> Iterator[None]:
+    """**Raises** `FullDiskError` that says how many runs are kept if no space is left."""
+    try:
+        yield
+    except Exception as error:
+        if not io.is_full_disk(error):
+            raise
+        # Drafts and programs that could not be written are gone.
+        unique = len({sweep.runs.id(index) for index in range(len(sweep.runs))})
+        kept = unique - len(missing_runs(sweep, folder))
+        # Something other than a run's folder may have been full, such as the folder for temporary files.
+        said = str(error) if isinstance(error, io.FileError) else f"cannot write for the sweep in {folder}: {error}"
+        raise io.FullDiskError(
+            f"{said}; {kept:,} of {counted(unique, 'run')} {'is' if kept == 1 else 'are'} kept in {folder}, and not "
+            "done again"
+        ) from error
 
 
 @contextlib.contextmanager
@@ -245,7 +267,7 @@ def _work(
     useful = len(todo) if sweep.settings.run == "fit" else -(-len(todo) // _BATCH)
     with (
         counting(console, sweep.name, len(todo)) as progress,
-        pool(scheduler, workers, useful) as where,
+        pool(scheduler, workers, useful, lambda text: table.print_lines(console, [text])) as where,
     ):
         if pace is not None:
             pace.begin(len(todo), where.workers)
@@ -306,6 +328,14 @@ def _plotted(folder: Path, sweep: Sweep, results: pa.Table) -> tuple[list[Curve]
     with io.atomic_path(folder / PLOT) as temporary:
         write_plot(temporary, curves, plot, describe(sweep.runs[0].config))
     return curves, []
+
+
+def _remarks_on_frames(sweep: Sweep) -> list[str]:
+    """Remarks on the frames of runs that measure flicker, of the first runs."""
+    if sweep.settings.flicker is None:
+        return []
+    some = sweep.runs.at(range(min(len(sweep.runs), _MAX_SHOWN)))
+    return list(dict.fromkeys(remark for run in some if run.frames for remark in frames_remarks(run.frames)))
 
 
 def counts_of(results: pa.Table) -> dict[str, int]:
@@ -372,7 +402,8 @@ def _print(console: Console, sweep: Sweep, results: pa.Table, curves: Sequence[C
 
 def _summary(sweep: Sweep, counts: Mapping[str, int], tried: int) -> list[str]:
     lines = [
-        f"{counts.get(OK, 0):,} of {len(sweep.runs):,} runs are done, {tried:,} of them tried now; all are in {RESULTS}"
+        f"{counts.get(OK, 0):,} of {counted(len(sweep.runs), 'run')} {'is' if len(sweep.runs) == 1 else 'are'} done, "
+        f"{tried:,} of them tried now; all are in {RESULTS}"
     ]
     if counts.get(MISSING, 0):
         lines.append("run the same command again to do the rest")
@@ -385,6 +416,6 @@ def failures(results: pa.Table) -> list[str]:
     if not len(errors):
         return []
     first, kinds = errors[0].as_py(), len(errors.unique())
-    more = f", and {kinds - 1} other errors" if kinds > 1 else ""
+    more = f", and {counted(kinds - 1, 'other error')}" if kinds > 1 else ""
     first = "; ".join(first.splitlines())
-    return [f"{len(errors):,} runs failed; the same command tries them again: {first}{more}"]
+    return [f"{counted(len(errors), 'run')} failed; the same command tries them again: {first}{more}"]

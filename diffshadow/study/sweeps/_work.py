@@ -199,7 +199,10 @@ def reference_of(config: Config) -> str:
 
 
 def do(batch: Batch, run: SweepRun) -> Outcome:
-    """Does one run, and writes its figures if there are any. An error in the run becomes its outcome."""
+    """Does one run, and writes its figures if there are any. An error in the run becomes its outcome.
+
+    **Raises** `FullDiskError` if no space is left for its files.
+    """
     started = time.perf_counter()
     _limit_programs(batch.shape)
     stages = Stages(_QUIET)
@@ -210,6 +213,9 @@ def do(batch: Batch, run: SweepRun) -> Outcome:
             measured[FLICKER] = _flicker(run.frames, stages)
         status, error = OK, None
     except Exception as problem:
+        # No run is to blame for that, and the next ones would fail as well.
+        if io.is_full_disk(problem):
+            raise
         measured, status, error = {}, FAILED, f"{type(problem).__name__}: {problem}"
     return Outcome(run.id, status, error, measured, {**stages.seconds, "total": time.perf_counter() - started})
 

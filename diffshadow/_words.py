@@ -1,0 +1,18 @@
+"""Numbers of things in words. Nothing is imported, since the command line names mistakes before it loads JAX."""
+
+# What follows a noun begins with one of these.
+_AFTER = (" of ", " that ", " without ")
+
+
+def plural(noun: str) -> str:
+    """A noun of regular form in the plural; what follows it, such as " of 3 kinds", stays."""
+    end = min((noun.index(word) for word in _AFTER if word in noun), default=len(noun))
+    first, rest = noun[:end], noun[end:]
+    if first.endswith("y") and first[-2:-1] not in "aeiou":
+        return f"{first[:-1]}ies{rest}"
+    return f"{first}{'es' if first.endswith(('sh', 'ch', 's', 'x')) else 's'}{rest}"
+
+
+def counted(count: int, noun: str) -> str:
+    """A number of things in words, such as "1 entry" or "1,024 entries"."""
+    return f"{count:,} {noun if count == 1 else plural(noun)}"
