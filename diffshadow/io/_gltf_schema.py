@@ -133,12 +133,16 @@ class TextureTransform(_Part):
     tex_coord: _Index | None = None
 
 
+WrapCode = Literal[10497, 33071, 33648]
+"""`REPEAT`, `CLAMP_TO_EDGE` and `MIRRORED_REPEAT` of OpenGL."""
+
+
 class Sampler(_Part):
     """Numbers of OpenGL: how a texture is read between texels and beyond its image."""
 
     mag_filter: Literal[9728, 9729] = 9729
-    wrap_s: Literal[10497, 33071, 33648] = 10497
-    wrap_t: Literal[10497, 33071, 33648] = 10497
+    wrap_s: WrapCode = 10497
+    wrap_t: WrapCode = 10497
 
 
 class Texture(_Part):

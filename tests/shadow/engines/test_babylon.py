@@ -302,7 +302,7 @@ def test_errors_name_the_setting(wrong, message):
 
 def test_each_mesh_needs_its_culling():
     golden = engine_golden("babylon", "directional_none_bias")
-    with pytest.raises(ValueError, match="3 entries of back_face_culling, and the scene has 4 meshes"):
+    with pytest.raises(ValueError, match="back_face_culling has 3 entries, and the scene has 4 meshes"):
         BabylonJs(back_face_culling=(True, True, False)).prepare(scene_of(golden))
     listed = BabylonJs(back_face_culling=[True, False, True, True])
     assert listed.casting_sides(scene_of(golden)) == ("front", "double", "front", "front")
