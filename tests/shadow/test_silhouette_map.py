@@ -57,7 +57,7 @@ from diffshadow.shadow._receiver import receiver
 from diffshadow.shadow.kernels import Footprint
 from diffshadow.shadow.kernels._padded_silhouettes import BlockBounds
 from diffshadow.shadow.silhouettes import WHOLE_TEXEL, HalfPlanes, Rectangle, cut_area
-from diffshadow.shadow.silhouettes._crossings import BOTTOM, LEFT, RIGHT, TOP, _outermost
+from diffshadow.shadow.silhouettes._crossings import BOTTOM, LEFT, RIGHT, TOP, Grid, _outermost
 
 # Meshes of maps that are drawn under a trace are filled up to this, so that they share what is compiled.
 SIZES = (1300, 2304, 3500)
@@ -837,3 +837,11 @@ def test_silhouettes_are_of_the_nearest_surface(settings):
 def test_silhouettes_need_room_for_the_corners_of_texels():
     with pytest.raises(ValueError, match=r"map of \(8192, 16\) texels.*expected at most 8191 on a side"):
         draw_shadow_map(_square(), _sun(STILL), (8192, 16), edges=Edges.of(_square()))
+
+
+def test_texels_and_corners_of_several_layers_are_numbered_without_gaps():
+    grid = Grid(2, 3, 5)
+    for numbered, height, width in ((grid.texel, 3, 5), (grid.corner, 4, 6)):
+        layer, row, column = np.indices((2, height, width))
+        np.testing.assert_array_equal(numbered(layer, row, column).ravel(), np.arange(2 * height * width))
+    assert grid.texels == 30

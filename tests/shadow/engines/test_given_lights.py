@@ -133,6 +133,14 @@ def test_a_window_off_the_axis_lies_where_the_engine_has_it(engine, axes):
     np.testing.assert_allclose(corners, [[1, -1, -1], [-1, 1, 1]], atol=1e-5)
 
 
+def test_a_distance_replaces_far_and_none_leaves_it():
+    for light in (ThreeJs.point_light, lambda at, **given: ThreeJs.spot_light(at, (0.0, 0.0, 0.0), **given)):
+        left_out, zero, given = (
+            light((0.0, 1.0, 0.0), far=7.0, **d) for d in ({}, {"distance": 0.0}, {"distance": 3.0})
+        )
+        assert [float(each.far) for each in (left_out, zero, given)] == [7.0, 7.0, 3.0]
+
+
 def test_a_spot_lights_angle_is_to_the_side_in_one_engine_and_the_full_cone_in_the_other():
     three = ThreeJs.spot_light((0.0, 3.0, 0.0), angle=0.4, penumbra=0.25, focus=0.9, resolution=(64, 128), aspect=1.5)
     assert float(three.outer_angle) == pytest.approx(np.degrees(0.36))
