@@ -842,6 +842,6 @@ def test_silhouettes_need_room_for_the_corners_of_texels():
 def test_texels_and_corners_of_several_layers_are_numbered_without_gaps():
     grid = Grid(2, 3, 5)
     for numbered, height, width in ((grid.texel, 3, 5), (grid.corner, 4, 6)):
-        layer, row, column = np.indices((2, height, width))
+        layer, row, column = jnp.indices((2, height, width))
         np.testing.assert_array_equal(numbered(layer, row, column).ravel(), np.arange(2 * height * width))
     assert grid.texels == 30
