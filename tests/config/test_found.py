@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scenes import staying_in
@@ -46,14 +47,24 @@ def test_keys_beside_auto_are_kept():
     assert config.scene.camera.resolution == (20, 10)
     assert config.scene.camera.fov_y == 25
     assert config.scene.light.elevation == 33
-    parallel = parse_config(AUTO, ["scene.camera={type: orthographic}"]).scene.camera
-    assert parallel.height is not None
+
+
+def test_a_parallel_camera_shows_the_caster_and_its_shadow_and_little_else():
+    scene = build_scene(parse_config(AUTO, ["scene.camera={type: orthographic}", "scene.camera.resolution=[40, 60]"]))
+    corners, (_, bottom, _) = np.asarray(scene.meshes[0].vertices), np.asarray(scene.meshes[1].vertices)[0]
+    way = np.asarray(scene.light.direction)
+    fallen = corners + ((bottom - corners[:, 1]) / way[1])[:, None] * way
+    x, y = np.asarray(scene.camera.view().clip(jnp.asarray(np.concatenate([corners, fallen]))))[:, :2].T
+    # Of the two sides, one is nearly filled, and nothing is cut off.
+    assert 0.75 < max(np.abs(x).max(), np.abs(y).max()) < 1
 
 
 def test_z_up_is_what_the_camera_says():
     config = parse_config(AUTO, ["scene.camera.up=[0, 0, 1]"])
-    assert config.scene.light.direction is not None
-    assert config.scene.light.direction[2] < 0
+    # The same as with y up, turned.
+    azimuth, elevation = (np.deg2rad(getattr(parse_config(AUTO).scene.light, key)) for key in ("azimuth", "elevation"))
+    x, y, z = -np.sin(azimuth) * np.cos(elevation), -np.sin(elevation), -np.cos(azimuth) * np.cos(elevation)
+    assert config.scene.light.direction == pytest.approx((x, -z, y), abs=1e-5)
     plane = build_scene(config).meshes[1]
     assert np.ptp(np.asarray(plane.vertices)[:, 2]) == pytest.approx(0, abs=1e-5)
 

@@ -219,6 +219,13 @@ def test_chamfer_distance_of_parallel_squares_is_their_distance():
     assert far == pytest.approx(0.3, abs=1e-3)
     # Samples of one surface are half of 1 / sqrt(density) apart on average.
     assert chamfer_distance((corners, faces), (corners, faces), samples=40_000) == pytest.approx(0.0025, rel=0.1)
+    # Nor does the number of faces: a hundred of them in a corner have no more samples than their area.
+    step = 0.01
+    fan = [[0.0, 0, 0], *([step, step * k / 100, 0] for k in range(101))]
+    beside = corners + np.array([step, 0, 0])
+    small, large = [[0, k + 1, k + 2] for k in range(100)], [[102, 103, 104], [102, 104, 105]]
+    fine = np.concatenate([fan, beside]), np.array([*small, *large])
+    assert chamfer_distance(fine, fine, samples=40_000) == pytest.approx(0.0025, rel=0.1)
     # Corners of a mesh do not count, only its surface.
     split = np.concatenate([corners, [[0.5, 0, 0]]]), np.array([[0, 4, 2], [4, 1, 2], [0, 2, 3]])
     assert chamfer_distance((corners, faces), split, samples=40_000) < 0.004
