@@ -135,6 +135,24 @@ def test_intervals_end_where_the_error_reaches_its_limit(rough, close):
     assert bowl.refits <= 60
 
 
+class Misled(Bowl):
+    """A bowl whose refits end far from the least error, as under a soft compare that is unlike the hard one."""
+
+    def refitted(self, values, kept, *, ratio=1.0, least_gain=0.0):
+        return tuple(value if index in kept else value + 1.0 for index, value in enumerate(values))
+
+
+def test_values_stay_where_a_refit_is_worse():
+    (profile, _) = Profiler(Misled(), BOUNDS, BEST).profiles([0.05])
+    (interval,) = profile.intervals
+    # Along a alone, the error is LEAST² + u².
+    half = LEAST * np.sqrt(1.05**2 - 1)
+    assert (interval.lower.value, interval.upper.value) == pytest.approx(
+        (BEST[0] - half, BEST[0] + half), abs=0.03 * half
+    )
+    assert profile.best == (BEST[0], pytest.approx(LEAST))
+
+
 def test_an_interval_ends_at_a_bound_or_at_a_jump():
     # 2.98 is no number of single precision, in which the others are fitted again.
     narrow = [Parameter("a", 3.0, 2.98, 10.0), BOUNDS[1]]
@@ -363,3 +381,27 @@ def test_tilted_losses_keep_the_product_of_their_factors():
     assert float(loss.false_shadow) == pytest.approx(8.0)
     assert float(loss.false_light) == pytest.approx(0.125)
     assert loss.power is not None
+
+
+class Laid:
+    """A joint problem whose maps are laid out for the values that it is judged at."""
+
+    def __init__(self, problems):
+        self.problems = problems
+
+    def each(self, change):
+        return self
+
+    def stacked(self, atlases):
+        return "stacks of", self.problems
+
+
+def test_stacks_are_kept_until_maps_are_laid_out_again(monkeypatch):
+    monkeypatch.setattr("diffshadow.fit._judge.stacked_order", list)
+    judge = Judge(Laid(("first",)), None)
+    kept = judge._stacked()
+    assert kept.joint == ("stacks of", ("first",))
+    assert judge._stacked() is kept
+    judge.joint = Laid(("second",))
+    assert judge._stacked().joint == ("stacks of", ("second",))
+    assert judge._stacked().order == ["second"]
