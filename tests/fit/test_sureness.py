@@ -398,7 +398,8 @@ class Laid:
 
 def test_stacks_are_kept_until_maps_are_laid_out_again(monkeypatch):
     monkeypatch.setattr("diffshadow.fit._judge.stacked_order", list)
-    judge = Judge(Laid(("first",)), None)
+    judge = Judge.__new__(Judge)
+    judge.joint, judge._stacks, judge._atlases = Laid(("first",)), {}, {}
     kept = judge._stacked()
     assert kept.joint == ("stacks of", ("first",))
     assert judge._stacked() is kept
