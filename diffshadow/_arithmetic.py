@@ -63,8 +63,8 @@ def _as(x: Any, dtype: Any) -> Array:
 
 
 def concrete(x: Any) -> np.ndarray | None:
-    """`x` as a NumPy array, or `None` where it is traced and has no value yet."""
-    return None if isinstance(x, Tracer) else np.asarray(x)
+    """`x` as a NumPy array, or `None` where it is traced, in whole or in part, and has no value yet."""
+    return None if is_traced(x) else np.asarray(x)
 
 
 def is_traced(tree: Any) -> bool:

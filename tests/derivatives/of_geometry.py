@@ -3,7 +3,6 @@
 import dataclasses
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -296,8 +295,9 @@ _refitted(
 )
 _refitted("rectangle", panel, lambda x: LightPose(Vector(*x[:3])), ("outer_angle", "near", "far"), _AT)
 
-PYRAMID = np.array([(0.5, 0.1, 0), (-0.4, 0, 0.5), (-0.3, -0.1, -0.6), (0.1, 0.8, 0.1)]), np.array(
-    [(0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3)]
+PYRAMID = (
+    np.array([(0.5, 0.1, 0), (-0.4, 0, 0.5), (-0.3, -0.1, -0.6), (0.1, 0.8, 0.1)]),
+    np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3)]),
 )
 """Vertices and faces of a pyramid whose faces are unequal."""
 
@@ -366,7 +366,9 @@ def _():
     table = np.array([[0, 2, 3], [6, 3, 2]])
 
     def of(x):
-        textures = geometry.Textures(uv, [0, 1, -1], texels.at[jnp.array([3, 9])].set(x[4:].reshape(2, 2)[:, [0, 1, 0, 1]]), table)
+        textures = geometry.Textures(
+            uv, [0, 1, -1], texels.at[jnp.array([3, 9])].set(x[4:].reshape(2, 2)[:, [0, 1, 0, 1]]), table
+        )
         place = jnp.concatenate([x[:4].reshape(2, 2), x[None, :2]])
         return textures.at(jnp.array([0, 1, -1]), place)
 

@@ -118,8 +118,14 @@ CROSSING = np.array([(-0.7, -0.5, 0.5), (0.9, -0.3, -0.6), (-0.2, 0.9, -0.4)])
 @row("lines in which meshes cross", _STILL)
 def _():
     faces = np.array([(0, 1, 2), (3, 4, 5)], np.int32)
-    both = lambda x: camera().view().clip_vertices(
-        jnp.concatenate([jnp.asarray(CORNERS[:3]), jnp.asarray(CROSSING)]).at[jnp.array([1, 5])].add(x.reshape(2, 3))
+    both = lambda x: (
+        camera()
+        .view()
+        .clip_vertices(
+            jnp.concatenate([jnp.asarray(CORNERS[:3]), jnp.asarray(CROSSING)])
+            .at[jnp.array([1, 5])]
+            .add(x.reshape(2, 3))
+        )
     )
     start = both(np.array(_STILL))
     seen = [faces_at(start, faces[[number]], centres(*SIZE)) for number in (0, 1)]
@@ -136,7 +142,11 @@ def _():
 
 def _square(x, size):
     """Edges of a quadrangle in the window, in clip coordinates with two unequal w."""
-    places = jnp.asarray([[-0.63, -0.52], [0.71, -0.41], [0.57, 0.66], [-0.44, 0.38]]).at[jnp.array([1, 3])].add(x.reshape(2, 2))
+    places = (
+        jnp.asarray([[-0.63, -0.52], [0.71, -0.41], [0.57, 0.66], [-0.44, 0.38]])
+        .at[jnp.array([1, 3])]
+        .add(x.reshape(2, 2))
+    )
     w = jnp.asarray([1.0, 1.3, 0.8, 1.1])
     clip = jnp.concatenate([places, 0.2 + 0.1 * places[:, :1], jnp.ones((4, 1))], axis=1) * w[:, None]
     ends = clip[jnp.array([[0, 1], [1, 2], [2, 3], [3, 0]])]

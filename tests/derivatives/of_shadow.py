@@ -3,13 +3,12 @@
 import dataclasses
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
 from diffshadow import geometry, shadow
-from diffshadow.geometry import DirectionalLight, Edges, LightPose, Vector
+from diffshadow.geometry import Edges, LightPose, Vector
 from diffshadow.raster import DepthTest
 from diffshadow.shadow import Lookup, ShadowMap, SoftCompare
 from diffshadow.shadow._map_depths import midpoint, unwarped_depth
@@ -24,7 +23,9 @@ from . import centres, faces_at, numbers, row, surface_of
 from .of_geometry import lamp, pyramid, spot, sun
 
 MAP = 9, 11
-_NORMALS = np.array([[(0.2, 0.9, 0.1), (0.5, 0.6, -0.2), (-0.3, 0.8, 0.4)], [(0.1, 0.7, 0.7), (0.6, 0.7, 0.1), (0, 1, 0)]])
+_NORMALS = np.array(
+    [[(0.2, 0.9, 0.1), (0.5, 0.6, -0.2), (-0.3, 0.8, 0.4)], [(0.1, 0.7, 0.7), (0.6, 0.7, 0.1), (0, 1, 0)]]
+)
 
 
 def random_map(light, *layers):
@@ -39,7 +40,12 @@ def points():
 def _received(light, at, numbers_of_pose):
     """Receivers under a light, by its pose, and by where they are and how they are turned."""
 
-    @row(f"receivers under a {light.__name__}", (*numbers_of_pose, 0.1, -0.2, 0.05, 0.1, 0.05), "shadow.receiver shadow.Receiver", step=1e-4)
+    @row(
+        f"receivers under a {light.__name__}",
+        (*numbers_of_pose, 0.1, -0.2, 0.05, 0.1, 0.05),
+        "shadow.receiver shadow.Receiver",
+        step=1e-4,
+    )
     def _():
         place, normal = points()
         own, depth = light(), numbers(20, *([6] if light is lamp else []), *MAP)
@@ -60,7 +66,12 @@ _received(sun, lambda x: LightPose(None, *x, sun().angular_radius), (31.0, 62.0)
 _received(lamp, lambda x: LightPose(Vector(*x), radius=lamp().radius), (0.2, 0.9, 0.1))
 
 
-@row("how large texels are on the screen", [0.1, -0.2, 0.05, 1.4, 1.8, 2.2], "shadow.aliasing shadow.Aliasing", tolerance=1e-5)
+@row(
+    "how large texels are on the screen",
+    [0.1, -0.2, 0.05, 1.4, 1.8, 2.2],
+    "shadow.aliasing shadow.Aliasing",
+    tolerance=1e-5,
+)
 def _():
     from diffshadow.shadow._aliasing import aliasing
 
@@ -91,7 +102,9 @@ def at_a_receiver(**more):
 )
 def _():
     own = at_a_receiver()
-    slopes = jnp.stack([jnp.asarray([[0.1, 0.9, 2.9], [0.4, 1.1, 3.0]]), jnp.asarray([[0.2, -0.3, 0.4], [-0.9, 0.5, 0.1]])], axis=-1)
+    slopes = jnp.stack(
+        [jnp.asarray([[0.1, 0.9, 2.9], [0.4, 1.1, 3.0]]), jnp.asarray([[0.2, -0.3, 0.4], [-0.9, 0.5, 0.1]])], axis=-1
+    )
     receiver = dataclasses.replace(own, slope=slopes)
 
     def of(x):
@@ -107,8 +120,15 @@ def _():
     receiver = at_a_receiver()
 
     def of(x):
-        offsets = [shadow.NormalOffset(x[2 + k], profile) for k, profile in enumerate(("constant", "one_minus_cosine", "across"))]
-        each = [shadow.ConstantBias(x[0], "depth"), shadow.SlopeBias(x[1], "one_minus_cosine"), shadow.AdaptiveBias(x[5])]
+        offsets = [
+            shadow.NormalOffset(x[2 + k], profile)
+            for k, profile in enumerate(("constant", "one_minus_cosine", "across"))
+        ]
+        each = [
+            shadow.ConstantBias(x[0], "depth"),
+            shadow.SlopeBias(x[1], "one_minus_cosine"),
+            shadow.AdaptiveBias(x[5]),
+        ]
         return [bias(receiver) for bias in (*offsets, *each)]
 
     return of
@@ -167,7 +187,9 @@ def _():
 
     def of(x):
         moved = dataclasses.replace(own, slope=own.slope + x[4])
-        terms = shadow.BiasTerms(jnp.full((2, 3), x[3]), jnp.broadcast_to(x[:3], (2, 3, 3)), True, jnp.full((2, 3), 0.1) + x[3])
+        terms = shadow.BiasTerms(
+            jnp.full((2, 3), x[3]), jnp.broadcast_to(x[:3], (2, 3, 3)), True, jnp.full((2, 3), 0.1) + x[3]
+        )
         return [shadow.look_up(drawn, moved, terms) for drawn in (plain, coarse)]
 
     return of
@@ -202,7 +224,7 @@ def _filtered(name, at, of_numbers, covers, backward=False, still=(), **more):
     """A filter by its own numbers, by where receivers look up and how deep they are, by a texel of the map, and by the
     compare's width."""
 
-    @row(name, (*at, *_AT, 0.02, 1.3), covers, backward=backward)
+    @row(name, (*at, *_AT, 0.02, 1.3), covers, backward=backward, step=1e-6, tolerance=1e-5)
     def _():
         plain = random_map(sun())
 
@@ -214,12 +236,29 @@ def _filtered(name, at, of_numbers, covers, backward=False, still=(), **more):
         return of
 
 
+@row("nearest look-ups", [0.01, 1.3], "shadow.Nearest")
+def _():
+    plain = random_map(sun())
+    return lambda x: shadow.Nearest()(plain, looked_up(jnp.append(jnp.zeros(2), x[0])), SoftCompare(x[1]))
+
+
 _PATTERN = lambda: shadow.vogel(3)
 _filtered("bilinear look-ups", (), lambda x: shadow.Bilinear(), "shadow.Bilinear", plane=True, backward=True)
 _filtered("four taps", (1.2,), lambda x: shadow.FourTap(x[0]), "FourTap.radius shadow.FourTap")
-_filtered("a box", (1.7,), lambda x: shadow.PercentageCloser(x[0], 2.0), "PercentageCloser.radius shadow.PercentageCloser", backward=True)
+_filtered(
+    "a box",
+    (1.7,),
+    lambda x: shadow.PercentageCloser(x[0], 2.0),
+    "PercentageCloser.radius shadow.PercentageCloser",
+    backward=True,
+)
 _filtered("a tent", (1.8,), lambda x: shadow.Tent(x[0], 2.0), "Tent.radius shadow.Tent", plane=True)
-_filtered("weights of a separable kernel", (0.7, 0.3), lambda x: shadow.Separable(tuple(x)), "Separable.weights shadow.Separable")
+_filtered(
+    "weights of a separable kernel",
+    (0.7, 0.3),
+    lambda x: shadow.Separable(tuple(x)),
+    "Separable.weights shadow.Separable",
+)
 _filtered("Castaño's kernel", (), lambda x: shadow.Castano(3), "shadow.Castano")
 _filtered(
     "a disk of taps",
@@ -256,7 +295,12 @@ def _blurred(name, at, make, covers):
         def of(x):
             own, (radius, bleeding), place, texel = x[:-6], x[-6:-4], x[-4:-1], x[-1]
             drawn = ShadowMap(plain.depth.at[4:7, 3:9].add(texel), plain.light)
-            return make(*own, radius=radius, bleeding=bleeding)(drawn, looked_up(place), SoftCompare(1.0))
+            blurred = make(*own, radius=radius, bleeding=bleeding)
+            # And the bound of three depths at receivers between them.
+            receivers = jnp.asarray([[0.25, 0.43, 0.62, 0.78, 0.91]])
+            of_three = blurred.moments(jnp.asarray([0.2, 0.55, 0.7]))
+            bound = blurred.bound(tuple(jnp.full((1, 5), jnp.mean(each)) for each in of_three), receivers)
+            return blurred(drawn, looked_up(place), SoftCompare(1.0)), bound
 
         return of
 
@@ -264,19 +308,23 @@ def _blurred(name, at, make, covers):
 _blurred(
     "variance shadow maps",
     (0.004,),
-    lambda least, radius, bleeding: shadow.VarianceShadowMap(radius, 2.0, "tent", light_bleeding=bleeding, least_variance=least),
+    lambda least, radius, bleeding: shadow.VarianceShadowMap(
+        radius, 2.0, "tent", light_bleeding=bleeding, least_variance=least
+    ),
     "VarianceShadowMap.least_variance VarianceShadowMap.radius VarianceShadowMap.light_bleeding shadow.VarianceShadowMap",
 )
 _blurred(
     "exponential shadow maps",
     (7.0,),
-    lambda k, radius, bleeding: shadow.ExponentialShadowMap(radius, 2.0, "gaussian", light_bleeding=bleeding, exponent=k),
+    lambda k, radius, bleeding: shadow.ExponentialShadowMap(
+        radius, 2.0, "gaussian", light_bleeding=bleeding, exponent=k
+    ),
     "ExponentialShadowMap.exponent ExponentialShadowMap.radius ExponentialShadowMap.light_bleeding "
     "shadow.ExponentialShadowMap",
 )
 _blurred(
     "exponential variance shadow maps",
-    (1.0, 6.0, 0.002),
+    (4.0, 1.5, 0.0005),
     lambda p, n, least, radius, bleeding: shadow.ExponentialVarianceShadowMap(
         radius, 2.0, "box", light_bleeding=bleeding, positive_exponent=p, negative_exponent=n, least_variance=least
     ),
@@ -287,7 +335,9 @@ _blurred(
 _blurred(
     "moment shadow maps",
     (0.01,),
-    lambda bias, radius, bleeding: shadow.MomentShadowMap(radius, 2.0, "tent", light_bleeding=bleeding, moment_bias=bias),
+    lambda bias, radius, bleeding: shadow.MomentShadowMap(
+        radius, 2.0, "tent", light_bleeding=bleeding, moment_bias=bias
+    ),
     "MomentShadowMap.moment_bias MomentShadowMap.radius MomentShadowMap.light_bleeding shadow.MomentShadowMap",
 )
 
@@ -345,7 +395,9 @@ def _():
         surface = surface_of(place + x[1:4], normal)
         seen = []
         for select in ("interval", "map"):
-            layout = Cascades(2, 0.5, shadow_distance=3.2, select=select, blend=0.3, max_blend=0.5, fade=0.7, margin=1.0)
+            layout = Cascades(
+                2, 0.5, shadow_distance=3.2, select=select, blend=0.3, max_blend=0.5, fade=0.7, margin=1.0
+            )
             layout = eqx.tree_at(lambda one: one.blend, layout, x[0])
             given = _mapping(shadow.Bilinear(), shadow.ConstantBias(x[4]), 1.3, layout)
             seen.append(_visibility(*given, ShadowMap(depth, light(select)), surface))
@@ -429,7 +481,7 @@ def _():
     return of
 
 
-@row("hard shadows of outlines within texels", [0.13, -0.08, 1.4, 1.5], "shadow.HardCompare")
+@row("hard shadows of outlines within texels", [0.13, -0.08, 1.4, 1.6], "shadow.HardCompare")
 def _():
     slots = jnp.full(MAP, -1, jnp.int32).at[3, 4].set(0).at[5, 6].set(1)
     depth = jnp.full(MAP, 0.3).at[:, 7:].set(1.0)
@@ -442,7 +494,7 @@ def _():
         drawn, place = ShadowMap(depth, sun(), silhouettes=outlines), jnp.asarray([[(4.3, 3.6), (6.2, 5.1)]])
         at = Lookup(place, jnp.full((1, 2), 0.5), jnp.full((1, 2), 0.04), jnp.ones((1, 2), bool))
         blurred = shadow.VarianceShadowMap(x[3], 2.0, least_variance=0.01, light_bleeding=0.0)
-        return shadow.PercentageCloser(x[2], 2.0)(drawn, at, shadow.HardCompare()), blurred(drawn, at, SoftCompare(1.0))
+        return shadow.FourTap(x[2])(drawn, at, shadow.HardCompare()), blurred(drawn, at, SoftCompare(1.0))
 
     return of
 
@@ -464,6 +516,8 @@ def _():
         from diffshadow import raster
 
         bent_, plain = bent(x)
-        return (x[3:4] + x[4:]) / 2, jnp.minimum(raster.interpolate_depth(raster.barycentrics(face, bent_, mesh.faces), plain, mesh.faces), 1)
+        return (x[3:4] + x[4:]) / 2, jnp.minimum(
+            raster.interpolate_depth(raster.barycentrics(face, bent_, mesh.faces), plain, mesh.faces), 1
+        )
 
     return of, smooth
