@@ -91,6 +91,15 @@ def changed(image, truth, mask):
     return best_change([image], 1 - truth, mask)
 
 
+def extents(image, truth, mask):
+    return list(metrics.measure_aliasing(4 * image, mask).as_dict().values())
+
+
+def perceived(image, truth, mask):
+    # Its filters reach into what lies outside, where pictures agree: the reference is the same there.
+    return metrics.flip(*(np.stack([each] * 3, axis=-1) for each in (image, np.where(mask, truth, 0.4))), mask)[0]
+
+
 class Row(NamedTuple):
     """A function of image, reference and mask; whether a crop is the same; what may be in an image where it does not
     count; and the tolerance, relative to the value, of sums in single precision."""
@@ -115,14 +124,8 @@ ROWS = {
     "extents of texels": Row(
         lambda image, truth, mask: list(metrics.measure_aliasing(4 * image, mask).as_dict().values())
     ),
-    # Its filters reach across the border of a mask, where pictures agree. Colours are from 0 to 1.
-    "flip": Row(
-        lambda image, truth, mask: metrics.flip(
-            *(np.stack([each] * 3, axis=-1) for each in (image, np.where(mask, truth, 0.4))), mask
-        )[0],
-        crops=False,
-        garbage=(0.0, 1.0, 0.3),
-    ),
+    # Colours are from 0 to 1.
+    "flip": Row(perceived, crops=False, garbage=(0.0, 1.0, 0.3)),
     "noise of a reference": Row(noise, tolerance=_SINGLE),
     "error of a fit to one image": Row(of_joint(), tolerance=_SINGLE),
     "the worst image": Row(of_joint(fit.Loss("worst")), tolerance=_SINGLE),
@@ -207,7 +210,7 @@ def test_several_images_count_by_their_pixels():
 
 
 def test_a_sample_holds_only_pixels_that_count():
-    image, truth = images()
+    _, truth = images()
     _, half = masks()
     problem = technique_problem(np.where(half[0], 7.0, np.nan), np.where(half[0], truth[0], 1e9), half[0])
     sample = problem.sampled(40, 0)

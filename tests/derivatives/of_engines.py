@@ -34,10 +34,10 @@ def _babylon(name, **more):
 
 def _of_babylon(name, light=sun, covers="", **numbers_of):
     title = f"Babylon.js, {name}, under a {light.__name__}"
-    layers = {"layers": (6,), "low": 0.88, "high": 0.95} if light is lamp else {}
     # The turn of the taps of PCSS is a hash of where receivers are.
-    layers["moves"] = name != "PCSS"
-    _shadowed(title, tuple(numbers_of.values()), _babylon(name, names=tuple(numbers_of)), light, covers, **layers)
+    _shadowed(
+        title, tuple(numbers_of.values()), _babylon(name, names=tuple(numbers_of)), light, covers, moves=name != "PCSS"
+    )
 
 
 _of_babylon(
@@ -47,7 +47,6 @@ _of_babylon(
     blur_scale=1.7,
     frustum_edge_falloff=0.9,
 )
-_of_babylon("POISSONSAMPLING", lamp, bias=0.02, blur_scale=1.7)
 _of_babylon("PCF", spot, bias=0.02, darkness=0.2)
 _of_babylon(
     "PCSS",

@@ -75,7 +75,7 @@ def _():
 
 @row("how the weights of images change", _ERRORS, tolerance=1e-5)
 def _():
-    shares, ways = jnp.asarray(_SHARES), numbers(40, 4, 2)
+    shares = jnp.asarray(_SHARES)
     losses = [Loss("worst", power=jnp.asarray(7.0)), Loss("cvar", fraction=0.35, power=jnp.asarray(7.0))]
 
     def of(errors):

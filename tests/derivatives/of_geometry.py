@@ -148,7 +148,7 @@ def _():
     return of, lambda x: (own.clip(x[None, :3]), shifted(x))
 
 
-SPOT = dict(near=0.7, far=6.0, radius=0.2, inner_angle=21.0, up=(0.2, 1, 0.1), aspect=1.4)
+SPOT = {"near": 0.7, "far": 6.0, "radius": 0.2, "inner_angle": 21.0, "up": (0.2, 1, 0.1), "aspect": 1.4}
 UP = (0.2, 1, 0.1)
 
 

@@ -65,7 +65,7 @@ def _():
     return of
 
 
-@row("the depth of pixels that are pulled back onto their face", _STILL, backward=True)
+@row("the depth of pixels that are pulled back onto their face", _STILL)
 def _():
     faces = jnp.asarray(FACES)
     beside = jnp.where(jnp.arange(40).reshape(SIZE) == 0, jnp.int32(0), jnp.int32(-1))

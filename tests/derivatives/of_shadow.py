@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from diffshadow import geometry, shadow
+from diffshadow import geometry, raster, shadow
 from diffshadow.geometry import Edges, LightPose, Vector
 from diffshadow.raster import DepthTest
 from diffshadow.shadow import Lookup, ShadowMap, SoftCompare
@@ -220,7 +220,7 @@ def looked_up(x, **more):
 _AT = (0.03, -0.02, 0.01)
 
 
-def _filtered(name, at, of_numbers, covers, backward=False, still=(), **more):
+def _filtered(name, at, of_numbers, covers, backward=False, **more):
     """A filter by its own numbers, by where receivers look up and how deep they are, by a texel of the map, and by the
     compare's width."""
 
@@ -250,7 +250,6 @@ _filtered(
     (1.7,),
     lambda x: shadow.PercentageCloser(x[0], 2.0),
     "PercentageCloser.radius shadow.PercentageCloser",
-    backward=True,
 )
 _filtered("a tent", (1.8,), lambda x: shadow.Tent(x[0], 2.0), "Tent.radius shadow.Tent", plane=True)
 _filtered(
@@ -311,7 +310,8 @@ _blurred(
     lambda least, radius, bleeding: shadow.VarianceShadowMap(
         radius, 2.0, "tent", light_bleeding=bleeding, least_variance=least
     ),
-    "VarianceShadowMap.least_variance VarianceShadowMap.radius VarianceShadowMap.light_bleeding shadow.VarianceShadowMap",
+    "VarianceShadowMap.least_variance VarianceShadowMap.radius VarianceShadowMap.light_bleeding "
+    "shadow.VarianceShadowMap",
 )
 _blurred(
     "exponential shadow maps",
@@ -442,8 +442,7 @@ def _():
         return _left_of(first), _left_of(straight)
 
     def of(x):
-        planes = lines(x, True)
-        return planes
+        return lines(x, True)
 
     return of, lambda x: lines(x, False)
 
@@ -513,8 +512,6 @@ def _():
     of = lambda x: (midpoint(x[3:4], x[4:], test), unwarped_depth(face, *bent(x), mesh.faces, test))
 
     def smooth(x):
-        from diffshadow import raster
-
         bent_, plain = bent(x)
         return (x[3:4] + x[4:]) / 2, jnp.minimum(
             raster.interpolate_depth(raster.barycentrics(face, bent_, mesh.faces), plain, mesh.faces), 1
