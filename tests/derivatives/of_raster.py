@@ -74,7 +74,7 @@ def _():
     return of, smooth
 
 
-@row("a surface", (*_STILL, 0.3, 0.5, 2.6, 0.7), "raster.Surface raster.draw_surface")
+@row("a surface", (*_STILL, 0.3, 0.5, 2.6, 0.7, 0.4, 0.6, 0.03), "raster.Surface raster.draw_surface")
 def _():
     from diffshadow.geometry import Textures
 
@@ -85,7 +85,9 @@ def _():
     def of(x):
         own = dataclasses.replace(camera(), eye=x[6:9])
         vertices, _ = _clip(x[:6])
-        moved = eqx.tree_at(lambda mesh: (mesh.vertices, mesh.albedo), plain, (vertices, plain.albedo * x[9]))
+        parts = lambda mesh: [mesh.vertices, mesh.albedo, mesh.corner_colours, mesh.textures.texels, mesh.textures.uv]
+        scales = [plain.albedo * x[9], plain.corner_colours * x[10], textures.texels * x[11], textures.uv + x[12]]
+        moved = eqx.tree_at(parts, plain, [vertices, *scales])
         view = own.view()
         seen = surface_at_centres(moved, own.eye, view, face, view.clip_vertices(vertices))
         return seen, seen.shading_normal

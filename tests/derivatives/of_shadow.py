@@ -9,8 +9,9 @@ from jax import lax
 
 from diffshadow import geometry, raster, shadow
 from diffshadow.geometry import Edges, LightPose, Vector
-from diffshadow.raster import DepthTest
+from diffshadow.raster import DepthTest, Fragments
 from diffshadow.shadow import Lookup, ShadowMap, SoftCompare
+from diffshadow.shadow._draw_map import _stored
 from diffshadow.shadow._map_depths import midpoint, unwarped_depth
 from diffshadow.shadow._shadow_mapping import _visibility
 from diffshadow.shadow.kernels import Blur
@@ -480,22 +481,37 @@ def _():
     return of
 
 
-@row("hard shadows of outlines within texels", [0.13, -0.08, 1.4, 1.6], "shadow.HardCompare")
-def _():
+def outlined(offsets):
+    """A map with outlines in two of its texels, whose half-planes have these offsets; and their directions."""
     slots = jnp.full(MAP, -1, jnp.int32).at[3, 4].set(0).at[5, 6].set(1)
-    depth = jnp.full(MAP, 0.3).at[:, 7:].set(1.0)
-    two = lambda one: jnp.stack([one, jnp.zeros(2)])
+    angle, two = jnp.asarray([0.3, 2.2]), lambda one: jnp.stack([one, jnp.zeros(2)])
+    planes = HalfPlanes(two(jnp.cos(angle)), two(jnp.sin(angle)), jnp.stack([offsets, jnp.full(2, -1e6)]))
+    found = SilhouetteMap(slots, planes, jnp.full(2, 0.3), jnp.ones(2), jnp.ones(2, bool))
+    return ShadowMap(jnp.full(MAP, 0.3).at[:, 7:].set(1.0), sun(), silhouettes=found), angle
 
+
+@row("means over texels with outlines", [0.13, -0.08])
+def _():
     def of(x):
-        angle = jnp.asarray([0.3, 2.2])
-        planes = HalfPlanes(two(jnp.cos(angle)), two(jnp.sin(angle)), jnp.stack([x[:2], jnp.full(2, -1e6)]))
-        outlines = SilhouetteMap(slots, planes, jnp.full(2, 0.3), jnp.ones(2), jnp.ones(2, bool))
-        drawn, place = ShadowMap(depth, sun(), silhouettes=outlines), jnp.asarray([[(4.3, 3.6), (6.2, 5.1)]])
-        at = Lookup(place, jnp.full((1, 2), 0.5), jnp.full((1, 2), 0.04), jnp.ones((1, 2), bool))
-        blurred = shadow.VarianceShadowMap(x[3], 2.0, least_variance=0.01, light_bleeding=0.0)
-        return shadow.FourTap(x[2])(drawn, at, shadow.HardCompare()), blurred(drawn, at, SoftCompare(1.0))
+        drawn, _ = outlined(x)
+        return drawn.silhouettes.mean_of(lambda depth: depth**2, drawn.depth), drawn.silhouettes.by_texel(drawn.depth)
 
     return of
+
+
+@row("hard shadows of outlines within texels", [0.13, -0.08, 0.0, 0.0], "shadow.HardCompare")
+def _():
+    def seen(offsets, looked_up, outlines):
+        """With look-ups and outlines so far away along the map."""
+        _, angle = outlined(offsets)
+        drawn, _ = outlined(offsets + jnp.cos(angle) * outlines[0] + jnp.sin(angle) * outlines[1])
+        each = jnp.asarray([[(4.3, 3.6), (6.2, 5.1)]]) + looked_up
+        at = Lookup(each, jnp.full((1, 2), 0.5), jnp.full((1, 2), 0.04), jnp.ones((1, 2), bool))
+        return shadow.Bilinear()(drawn, at, shadow.HardCompare())
+
+    none = jnp.zeros(2)
+    # To a look-up that moves, outlines move the other way; what only depends on where texels lie has no derivative.
+    return lambda x: seen(x[:2], x[2:], none), lambda x: seen(x[:2], none, -x[2:])
 
 
 @row("depths as a map stores them", [0.02, -0.03, 0.04, 0.31, 0.62])
@@ -509,12 +525,17 @@ def _():
         plain = clip(x)
         return plain.at[:, 3].add(0.1 * plain[:, 1]), plain
 
-    of = lambda x: (midpoint(x[3:4], x[4:], test), unwarped_depth(face, *bent(x), mesh.faces, test))
+    settings = shadow.MapSettings((6, 9), depth_format="unorm16")
+
+    def of(x):
+        seen = Fragments(face, test.decode(test.encode(jnp.full((6, 9), 0.4))))
+        stored = _stored(seen, clip(x), mesh.faces, light.view(), settings)
+        return midpoint(x[3:4], x[4:], test), unwarped_depth(face, *bent(x), mesh.faces, test), stored
 
     def smooth(x):
-        bent_, plain = bent(x)
-        return (x[3:4] + x[4:]) / 2, jnp.minimum(
-            raster.interpolate_depth(raster.barycentrics(face, bent_, mesh.faces), plain, mesh.faces), 1
-        )
+        warped, plain = bent(x)
+        of_warped = raster.interpolate_depth(raster.barycentrics(face, warped, mesh.faces), plain, mesh.faces)
+        own = raster.interpolate_depth(raster.barycentrics(face, plain, mesh.faces), plain, mesh.faces)
+        return (x[3:4] + x[4:]) / 2, jnp.minimum(of_warped, 1), own
 
     return of, smooth
