@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from scenes import Waves
 
 from diffshadow import fit, geometry, shadow
 from diffshadow.fit import Loss
@@ -15,11 +16,13 @@ from diffshadow.fit._own_loss import OwnLoss, Seen
 from diffshadow.fit._parameters import Parameter, Parameters
 from diffshadow.fit._regularizers import Regularizers
 from diffshadow.fit._shape_program import Level, ShapeProgram
+from diffshadow.fit._solve import _rows, _rows_of_own
 from diffshadow.fit._train import _bounded
 from diffshadow.fit.problems import ShapeView, together
 from diffshadow.fit.problems._aligned import Receivers
 from diffshadow.fit.problems._arranged import weighted_difference
 from diffshadow.fit.problems._blur import blurred
+from diffshadow.fit.problems._joint import Joint
 from diffshadow.fit.problems._pose import cone_fraction
 from diffshadow.shading import Phong
 from diffshadow.shadow import ShadowMap
@@ -90,6 +93,51 @@ def _():
         return found
 
     return of, lambda errors: [loss.weights(errors, shares) for loss in losses]
+
+
+def _joint(loss):
+    """Two images of unequal masks that are smooth functions of two numbers, and the bounds of these."""
+    place, normal = points()
+    known = []
+    for seed, kept in ((60, 3), (61, 5)):
+        mask = jnp.arange(6).reshape(2, 3) < kept
+        seen = surface_of(place, normal)
+        technique = Waves(jnp.asarray(0.7), jnp.asarray(2.1))
+        known.append(fit.TechniqueProblem(technique, random_map(sun()), seen, numbers(seed, 2, 3), mask))
+    bounds = [Parameter("first", 0.7, 0.2, 1.9), Parameter("second", 2.1, 1.0, 4.0)]
+    return Joint.of(known, loss), Parameters.of(bounds)
+
+
+@row("the losses that solvers descend", [0.35, 0.42], tolerance=1e-5)
+def _():
+    losses = [None, Loss("worst", power=jnp.asarray(7.0)), Loss(false_shadow=2.0, false_light=0.5)]
+    joints = [_joint(loss) for loss in losses]
+
+    def of(x):
+        """To first order in the numbers, as least squares of residuals and their Jacobian have them."""
+        fixed = lax.stop_gradient(x)
+        return [jnp.sum(_rows(joint, known, fixed, x - fixed)[0] ** 2) for joint, known in joints]
+
+    at = lambda joint, known, x: joint.losses(known.put(joint.subject, known.at(x))).compared
+    return of, lambda x: [at(joint, known, x) for joint, known in joints]
+
+
+@row("users' losses that solvers descend", [0.35, 0.42], step=1e-2, tolerance=1e-2)
+def _():
+    number = lambda seen, truth, mask: jnp.sum(jnp.abs(seen - truth)) / jnp.sum(mask)
+    joints = [_joint(lambda seen, truth, mask: seen - truth), _joint(number)]
+
+    def of(x):
+        fixed = lax.stop_gradient(x)
+        first, second = (_rows_of_own(joint, known, fixed, x - fixed)[0] for joint, known in joints)
+        # They are computed in float32.
+        return jnp.sum(first**2).astype(float), jnp.sum(second).astype(float)
+
+    def smooth(x):
+        rows = [joint.rows(known.put(joint.subject, known.at(x)))[0] for joint, known in joints]
+        return jnp.sum(jnp.stack(rows[0]) ** 2) / 2, jnp.mean(jnp.stack(rows[1]))
+
+    return of, smooth
 
 
 @row("differences of visibility with factors", [0.3, -0.4])

@@ -3,7 +3,6 @@
 import dataclasses
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -142,6 +141,14 @@ def _():
     return of
 
 
+def _from_centre(pixel, nearest, right, width):
+    """How far to the left of a line its pixel's centre is, where the line's nearest point is its foot. There it does
+    not depend on how the line turns; 0 where that point is an end."""
+    away = nearest - jnp.stack([pixel % width, pixel // width], axis=1) - 0.5
+    distance = jnp.sum(right * away, axis=1)
+    return jnp.where(jnp.sum((away - distance[:, None] * right) ** 2, axis=1) < 1e-9, distance, 0)
+
+
 def _square(x, size):
     """Edges of a quadrangle in the window, in clip coordinates with two unequal w."""
     places = (
@@ -174,12 +181,10 @@ def _():
         found = Boundaries(segments, none, none[:, 0], jnp.zeros(4, bool))
         return Pieces.of(found, SIZE, 40, jnp.ones(4))
 
-    right = jax.jit(pieces)(np.array([0.02, -0.03, 0.04, 0.01])).right
-
     def of(x):
         found = pieces(x)
         image = jnp.zeros(41).at[found.pixel].add(found.beyond)[:40]
-        return image, jnp.where(found.pixel < 40, jnp.sum(right * found.nearest, axis=1), 0)
+        return image, jnp.where(found.pixel < 40, _from_centre(found.pixel, found.nearest, found.right, SIZE[1]), 0)
 
     return of
 

@@ -3,6 +3,7 @@
 import dataclasses
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -13,6 +14,7 @@ from diffshadow.raster import DepthTest, Fragments
 from diffshadow.shadow import Lookup, ShadowMap, SoftCompare
 from diffshadow.shadow._draw_map import _stored
 from diffshadow.shadow._map_depths import midpoint, unwarped_depth
+from diffshadow.shadow._receiver import project
 from diffshadow.shadow._shadow_mapping import _visibility
 from diffshadow.shadow.kernels import Blur
 from diffshadow.shadow.layouts import CascadedLight
@@ -89,7 +91,7 @@ def _():
 def at_a_receiver(**more):
     """Receivers as a spot light sees them, of two layers."""
     place, normal = points()
-    seen = shadow.receiver(random_map(spot()), surface_of(place, normal))
+    seen = jax.jit(shadow.receiver)(random_map(spot()), surface_of(place, normal))
     layer = jnp.asarray([[0, 1, 0], [1, 1, 0]])
     return dataclasses.replace(seen, **({"layer": layer, "stored": seen.depth - 0.004 * numbers(22, 2, 3)} | more))
 
@@ -499,19 +501,27 @@ def _():
     return of
 
 
-@row("hard shadows of outlines within texels", [0.13, -0.08, 0.0, 0.0], "shadow.HardCompare")
+@row("hard shadows of outlines within texels", [0.13, -0.08, 0.0, 0.0, 0.0], "shadow.HardCompare")
 def _():
-    def seen(offsets, looked_up, outlines):
-        """With look-ups and outlines so far away along the map."""
+    view, depth = sun().view(), jnp.full((1, 2), 0.5)
+    texel = lambda position: project(view, MAP, position)[0]
+    # Points in the world whose places in the map are known.
+    matrix, places = np.asarray(view.matrix), np.array([(4.3, 3.6), (6.2, 5.1)]) / np.array(MAP[::-1]) * 2 - 1
+    known = [np.linalg.solve(matrix[:3, :3], np.append(place, 0) - matrix[:3, 3]) for place in places]
+    start = jnp.asarray(known)[None]
+
+    def seen(offsets, moves, along):
+        """With points that move in the world, and outlines so far away along the map."""
         _, angle = outlined(offsets)
-        drawn, _ = outlined(offsets + jnp.cos(angle) * outlines[0] + jnp.sin(angle) * outlines[1])
-        each = jnp.asarray([[(4.3, 3.6), (6.2, 5.1)]]) + looked_up
-        at = Lookup(each, jnp.full((1, 2), 0.5), jnp.full((1, 2), 0.04), jnp.ones((1, 2), bool))
+        drawn, _ = outlined(offsets + jnp.cos(angle) * along[..., 0] + jnp.sin(angle) * along[..., 1])
+        each = start + moves
+        at = Lookup(texel(each), depth, 0.08 * depth, jnp.ones((1, 2), bool), position=each)
         return shadow.Bilinear()(drawn, at, shadow.HardCompare())
 
-    none = jnp.zeros(2)
     # To a look-up that moves, outlines move the other way; what only depends on where texels lie has no derivative.
-    return lambda x: seen(x[:2], x[2:], none), lambda x: seen(x[:2], none, -x[2:])
+    # All points move alike along the map.
+    opposite = lambda x: -(texel(start + x[2:]) - texel(start))[0]
+    return lambda x: seen(x[:2], x[2:], jnp.zeros((2, 2))), lambda x: seen(x[:2], jnp.zeros(3), opposite(x))
 
 
 @row("depths as a map stores them", [0.02, -0.03, 0.04, 0.31, 0.62])
