@@ -230,7 +230,6 @@ def _():
     "raster.draw_antialiased raster.plan_antialiasing raster.AntialiasPlan",
     step=1e-6,
     tolerance=1e-4,
-    backward=True,
 )
 def _():
     from .of_geometry import pyramid
