@@ -30,7 +30,8 @@ def as_number(x: Any) -> Any:
 
 def as_numbers(xs: Any) -> Any:
     """A sequence of numbers as a tuple of these; what is no sequence stays as it is."""
-    return tuple(map(as_number, xs)) if np.ndim(xs) or isinstance(xs, Sequence) else xs
+    # NumPy cannot read a sequence of traced numbers.
+    return tuple(map(as_number, xs)) if isinstance(xs, Sequence) or np.ndim(xs) else xs
 
 
 def in_float64(tree: Any) -> Any:
@@ -62,8 +63,8 @@ def _as(x: Any, dtype: Any) -> Array:
 
 
 def concrete(x: Any) -> np.ndarray | None:
-    """`x` as a NumPy array, or `None` where it is traced and has no value yet."""
-    return None if isinstance(x, Tracer) else np.asarray(x)
+    """`x` as a NumPy array, or `None` where it is traced, in whole or in part, and has no value yet."""
+    return None if is_traced(x) else np.asarray(x)
 
 
 def is_traced(tree: Any) -> bool:

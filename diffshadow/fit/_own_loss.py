@@ -32,8 +32,10 @@ class Seen(NamedTuple):
     mask: Bool[Array, "*n h w"]
 
     @classmethod
-    def of(cls, image: Visibility, reference: Visibility, mask: Mask) -> "Seen":
-        """An image whose pixels that do not count, which may hold any number, are replaced by the reference's."""
+    def of(
+        cls, image: Float[Array, "*n h w"], reference: Float[Array, "*n h w"], mask: Bool[Array, "*n h w"]
+    ) -> "Seen":
+        """An image, or several. Pixels that do not count may hold any number, and become those of the reference."""
         return cls(jnp.where(mask, image, reference), reference, mask)
 
 

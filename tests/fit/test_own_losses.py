@@ -249,14 +249,6 @@ def test_several_images_are_given_one_by_one_and_count_alike(known):
     assert result.history[0].loss != 0
 
 
-def test_where_no_pixel_counts_images_agree_and_have_no_slope():
-    image, reference = jnp.array([[0.25, jnp.nan]]), jnp.array([[1.0, 0.5]])
-    seen = Seen.of(image, reference, jnp.array([[True, False]]))
-    np.testing.assert_array_equal(seen.predicted, [[0.25, 0.5]])
-    loss = lambda x: jnp.sum(Seen.of(x, reference, seen.mask).predicted)
-    np.testing.assert_array_equal(jax.grad(loss)(image), [[1, 0]])
-
-
 def test_a_stack_has_the_rows_of_its_images():
     images = Seen(*(jnp.arange(12.0).reshape(3, 2, 2) * k for k in (1, 2)), jnp.ones((3, 2, 2), bool))
     loss = OwnLoss.of(Differences(), [(2, 2)])

@@ -89,23 +89,3 @@ def test_normals_turn_with_the_mesh_after_its_vertices_moved():
     np.testing.assert_allclose(
         np.asarray(both.corner_normals).reshape(-1, 3)[:, [0, 2]], np.stack([z, -x], 1), atol=1e-6
     )
-
-
-def test_derivatives_of_normals_are_those_of_differences():
-    with jax.enable_x64(True):
-        for name in ("box", "low_poly_sphere"):
-            plain = library_mesh(name)
-            mesh = eqx.tree_at(lambda one: one.vertices, plain, jnp.asarray(plain.vertices, jnp.float64))
-            mesh = eqx.tree_at(lambda one: one.corner_normals, mesh, jnp.asarray(plain.corner_normals, jnp.float64))
-            pose = MeshPose.of(mesh, [2])
-
-            @jax.jit
-            def normals(by, pose=pose, mesh=mesh):
-                at = eqx.tree_at(lambda one: one.vertices["2"], pose, shifted(pose.vertices["2"], by))
-                return at.placed(mesh).corner_normals
-
-            at, way, step = jnp.array([0.1, 0.05, -0.08]), jnp.array([0.3, -0.5, 0.8]), 1e-6
-            _, derivative = jax.jvp(normals, (at,), (way,))
-            difference = (normals(at + step * way) - normals(at - step * way)) / (2 * step)
-            np.testing.assert_allclose(derivative, difference, atol=1e-7)
-            assert np.abs(difference).max() > 0.3

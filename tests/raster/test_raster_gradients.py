@@ -255,7 +255,6 @@ def _moved(offset):
 
 MOVED = (2, 20, len(MESH.vertices) - 1)
 CASES = [
-    # A camera and a light are both views, and of one kind run the same programs: one of them is enough every time.
     Case(
         "vertices and light's position",
         (0.0, 0.0, 0.0, 1.2, 2.6, 1.9),
@@ -268,10 +267,7 @@ CASES = [
     ),
     Case("light's direction", (-0.5, -1.0, -0.6), lambda p: (_directional(p), MESH.vertices)),
 ]
-FOR_ALL = [
-    pytest.param(case, marks=pytest.mark.exhaustive if number else (), id=case.name)
-    for number, case in enumerate(CASES)
-]
+FOR_ALL = [pytest.param(case, id=case.name) for case in CASES]
 
 
 def clip_of(case, parameter):
@@ -324,6 +320,7 @@ def both_ways(number):
     return np.asarray(forward), np.asarray(pulled), weights
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("case", FOR_ALL)
 def test_derivatives_are_those_of_float64_differences(case):
     slopes, same = differences(case)
@@ -343,6 +340,7 @@ def test_derivatives_are_those_of_float64_differences(case):
             assert (error <= 1e-3 * size + 2e-5 * scale).all(), f"{case.name}: {name} is off by {error.max():.2e}"
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("case", FOR_ALL)
 def test_reverse_mode_equals_forward_mode(case):
     forward, pulled, weights = map(to_numpy, both_ways(CASES.index(case)))

@@ -2,8 +2,6 @@
 
 import dataclasses
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -22,7 +20,6 @@ from diffshadow.geometry import (
 )
 from diffshadow.raster import draw_antialiased, draw_surface
 from diffshadow.raster._boundaries import find_creases
-from diffshadow.raster._surface import surface_at_centres
 
 RESOLUTION = (24, 32)
 CAMERA = PinholeCamera((0.7, 0.5, 2.2), (0, 0, 0), near=0.5, far=5.0, resolution=RESOLUTION)
@@ -107,38 +104,6 @@ def test_a_mesh_with_colours_is_white_and_one_without_is_light_grey():
     np.testing.assert_array_equal(textured().albedo, 1)
     np.testing.assert_array_equal(Mesh(card.vertices, card.faces, corner_colours=COLOURS).albedo, 1)
     np.testing.assert_allclose(card.albedo, 0.8)
-
-
-@eqx.filter_jit
-def _albedo(mesh, surface_face):
-    """The albedo where the faces are known, so that only their attributes are differentiated."""
-    view = CAMERA.view()
-    return surface_at_centres(mesh, CAMERA.eye, view, surface_face, view.clip_vertices(mesh.vertices)).albedo
-
-
-def test_albedo_has_the_derivatives_of_differences_by_texels_colours_and_coordinates():
-    face = draw_surface(textured(), CAMERA).face
-    with jax.enable_x64(True):
-        mesh = textured(corner_colours=COLOURS, albedo=0.7)
-        parts = lambda one: (one.textures.texels, one.corner_colours, one.textures.uv, one.albedo)
-        weights = np.random.default_rng(2).normal(size=(*RESOLUTION, 3))
-
-        @jax.jit
-        def loss(values):
-            return jnp.sum(weights * _albedo(eqx.tree_at(parts, mesh, values), face))
-
-        values = tuple(jnp.asarray(part, jnp.float64) for part in parts(mesh))
-        gradients = jax.jit(jax.grad(loss))(values)
-        for number, gradient in enumerate(gradients):
-            towards = jnp.asarray(np.random.default_rng(number).normal(size=gradient.shape))
-            step = 1e-7
-            behind, ahead = (
-                loss((*values[:number], values[number] + by * towards, *values[number + 1 :])) for by in (-step, step)
-            )
-            difference = (ahead - behind) / (2 * step)
-            slope = jnp.sum(gradient * towards)
-            assert abs(slope) > 1e-2
-            np.testing.assert_allclose(slope, difference, rtol=1e-5)
 
 
 def test_merged_meshes_keep_their_textures_and_padding_adds_none():

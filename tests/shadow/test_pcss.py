@@ -286,37 +286,6 @@ def test_gradient_of_the_loss_matches_central_differences():
 
 
 @eqx.filter_jit
-def along(shadow_map, lookup, numbers, steps):
-    """The sum of visibilities, weighed, and its derivative along `steps` of depths, the light's size and a width."""
-    weights = 1 + jnp.arange(lookup.depth.size).reshape(lookup.depth.shape) % 7
-
-    def total(depth, size, width):
-        kernel = PercentageCloserSoft(size, stratified((2, 2), 4), stratified((2, 3), 4), 0.0, 8.0)
-        at = Lookup(lookup.texel, depth, lookup.depth_per_texel, lookup.inside)
-        return jnp.sum(weights * kernel(shadow_map, at, SoftCompare(width)))
-
-    return jax.jvp(total, numbers, steps)
-
-
-@pytest.mark.exhaustive
-def test_slopes_match_central_differences():
-    rng = np.random.default_rng(9)
-    with jax.enable_x64(True):
-        lamp = jax.tree.map(lambda x: jnp.asarray(x, jnp.float64), LIGHTS["spot"])
-        shadow_map, lookup = ShadowMap(random_map(rng).depth, lamp), random_lookups(rng)
-        at = [np.asarray(lookup.depth), np.asarray(0.3), np.asarray(2.0)]
-        for number in range(3):
-            steps = tuple(np.full(x.shape, float(k == number)) for k, x in enumerate(at))
-            (low, _), (high, _), (_, found) = (
-                along(shadow_map, lookup, tuple(np.asarray(x + h * d) for x, d in zip(at, steps, strict=True)), steps)
-                for h in (-1e-7, 1e-7, 0.0)
-            )
-            expected = (float(high) - float(low)) / 2e-7
-            assert abs(expected) > 1e-2
-            assert float(found) == pytest.approx(expected, rel=1e-4)
-
-
-@eqx.filter_jit
 @eqx.filter_grad
 def slopes_of_sum(arguments):
     shadow_map, lookup, size, width = arguments

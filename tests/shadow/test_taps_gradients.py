@@ -39,11 +39,10 @@ FILTERS = {
 }
 # Nearest look-ups do not move smoothly with position or radius: only what shifts depth has a gradient.
 SMOOTH = {"nearest_disk": 2, "bilinear": 3}
-COMPARES = ("logistic", "linear", "smoothstep", "gaussian", "exponential")
 
 
-# What filters and compares add is tested by itself.
-@pytest.mark.parametrize("name", marked(FILTERS, set(FILTERS) - {"bilinear"}))
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("name", FILTERS)
 def test_gradient_of_the_loss_matches_central_differences(name):
     with jax.enable_x64(True):
         mapping = technique(FILTERS[name](), compare=SoftCompare(3.0, "linear" if name == "bilinear" else "logistic"))
@@ -52,71 +51,6 @@ def test_gradient_of_the_loss_matches_central_differences(name):
         slopes, gradient, _ = slopes_of_loss(known, NAMES[:count], VALUES[:count], np.full(count, STEP))
     assert (np.abs(slopes) > 1e-6).all()
     np.testing.assert_allclose(gradient, slopes, rtol=0.01)
-
-
-@jax.jit
-def slopes_of_compares(stored, receiver, unit, width, steps):
-    """Of each compare its values, and its derivative along `steps` of all four arguments."""
-    of = lambda kernel: lambda s, r, u, w: SoftCompare(w, kernel)(s, r, u)
-    return [jax.jvp(of(kernel), (stored, receiver, unit, width), steps) for kernel in COMPARES]
-
-
-def test_slopes_of_compares_match_central_differences():
-    rng = np.random.default_rng(9)
-    with jax.enable_x64(True):
-        # No receiver lies on a kink.
-        at = (rng.uniform(0.45, 0.55, 40), np.full(40, 0.5), rng.uniform(0.01, 0.05, 40), np.asarray(1.7))
-        directions = [rng.uniform(0.5, 1.0, 4) * one for one in np.eye(4)]
-        for direction in directions:
-            steps = tuple(np.broadcast_to(d, x.shape) for d, x in zip(direction, at, strict=True))
-            moved = lambda h, steps=steps: [
-                value for value, _ in slopes_of_compares(*(x + h * d for x, d in zip(at, steps, strict=True)), steps)
-            ]
-            lower, upper, found = moved(-1e-7), moved(1e-7), slopes_of_compares(*at, steps)
-            for low, high, (_, slope) in zip(lower, upper, found, strict=True):
-                expected = (np.asarray(high) - np.asarray(low)) / 2e-7
-                assert np.abs(expected).max() > 1e-2
-                np.testing.assert_allclose(slope, expected, rtol=1e-5, atol=1e-6)
-
-
-@jax.jit
-def slopes_of_filters(shadow_map, lookup, radius, width, steps):
-    """The sum of each filter's visibilities, weighed, and its derivative along `steps` of all that it depends on."""
-    disk = lambda mode: lambda radius: RandomDisk(radius, stratified((2, 2), 2), mode)
-    weights = 1 + jnp.arange(lookup.depth.size).reshape(lookup.depth.shape) % 7
-
-    def sums(depth, texel, receiver, radius, width):
-        at = Lookup(texel, receiver, lookup.depth_per_texel, lookup.inside)
-        kernels = (PercentageCloser(radius, 1.0), disk("bilinear")(radius), disk("nearest")(radius))
-        shadows = [kernel(ShadowMap(depth, shadow_map.light), at, SoftCompare(width)) for kernel in kernels]
-        return jnp.stack([jnp.sum(weights * lit) for lit in shadows])
-
-    return jax.jvp(sums, (shadow_map.depth, lookup.texel, lookup.depth, radius, width), steps)
-
-
-def test_slopes_of_filters_match_central_differences():
-    """By the map, by where receivers fall in it, by their depth, by the radius and by the compare's width."""
-    rng = np.random.default_rng(10)
-    with jax.enable_x64(True):
-        # A full map, so that none of its depths jumps when it moves.
-        shadow_map, lookup = random_map(rng, (9, 9), empty=0.0), random_lookups(rng, (6, 7), (9, 9))
-        at = [np.asarray(x) for x in (shadow_map.depth, lookup.texel, lookup.depth, 0.8, 1.1)]
-        directions = [rng.uniform(0.5, 1.0, x.shape) * np.where(rng.random(x.shape) < 0.3, -1, 1) for x in at]
-        for number in range(len(at)):
-            steps = tuple(np.asarray(d * (k == number)) for k, d in enumerate(directions))
-
-            def moved(h, steps=steps):
-                depth, texel, receiver, radius, width = (jnp.asarray(x + h * d) for x, d in zip(at, steps, strict=True))
-                lit = Lookup(texel, receiver, lookup.depth_per_texel, lookup.inside)
-                return slopes_of_filters(ShadowMap(depth, shadow_map.light), lit, radius, width, steps)
-
-            (low, _), (high, _), (_, found) = moved(-1e-7), moved(1e-7), moved(0.0)
-            expected = (np.asarray(high) - np.asarray(low)) / 2e-7
-            # Nearest look-ups do not move with position or radius.
-            still = np.array([False, False, number in (1, 3)])
-            assert (np.abs(expected[~still]) > 1e-3).all()
-            np.testing.assert_allclose(found[~still], expected[~still], rtol=1e-4)
-            assert (np.asarray(found)[still] == 0).all()
 
 
 KERNELS = {

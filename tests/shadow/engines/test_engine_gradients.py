@@ -61,16 +61,10 @@ def title(case) -> str:
     return f"{engine}-{technique.shadow_type if engine == 'three' else technique.filter}-{light}"
 
 
-USUAL = ("three-PCFShadowMap-window",)
-"""What is tried every time."""
-
-
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("engine", "technique", "light", "names"),
-    [
-        pytest.param(*case, id=title(case), marks=[] if title(case) in USUAL else pytest.mark.exhaustive)
-        for case in CASES
-    ],
+    [pytest.param(*case, id=title(case)) for case in CASES],
 )
 def test_derivatives_agree_with_central_differences(engine, technique, light, names):
     golden = engine_golden(engine, SCENES[engine][light])
