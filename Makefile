@@ -56,7 +56,7 @@ fuzz: $(STAMP) ## feed the command random input and say what it does badly (N=30
 	$(BIN)/python tests/fuzz/run.py --cases $(N) --seed $(SEED) $(if $(CASE),--case $(CASE)) $(ARGS)
 
 mutants: $(MUTANTS_STAMP) ## put mistakes into a copy and say which the tests miss (PATHS=diffshadow/fit SAMPLE=20 SEED=1)
-	$(BIN)/python tests/mutants/run.py $(PATHS) --sample $(SAMPLE) --seed $(SEED) $(ARGS)
+	$(BIN)/python tests/mutants/examine.py $(PATHS) --sample $(SAMPLE) --seed $(SEED) $(ARGS)
 
 lint: $(STAMP) ## check style and formatting
 	$(BIN)/ruff check .

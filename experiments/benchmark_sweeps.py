@@ -93,7 +93,10 @@ def measure(size: int, runs: int, turns: int, address: str, others: Sequence[int
         f"output={folder / 'runs'}",
     ]
     on_cluster = _pool.OnCluster
-    ways: dict[str, Callable[..., Any]] = {"shared": lambda *given, apart: on_cluster(*given), "apart": on_cluster}
+    ways: dict[str, Callable[..., Any]] = {
+        "shared": lambda *given, apart, **more: on_cluster(*given, **more),
+        "apart": on_cluster,
+    }
     found: dict[str, list[tuple[float, float]]] = {way: [] for way in ways}
     used = lambda: time.process_time() + sum(map(cpu_seconds, others))
     with open(os.devnull, "w") as nowhere:

@@ -1,30 +1,15 @@
 """The mistakes still suit the source, and their runner finds them."""
 
 import ast
-import importlib.util
 import subprocess
-import sys
 from pathlib import Path
-from typing import Any
 
+import draw
+import examine
+import kept
 import pytest
 
-FOLDER = Path(__file__).parent
-
-
-def _module(name: str) -> Any:
-    # By its path, for there is another run.py among the tests.
-    spec = importlib.util.spec_from_file_location(f"mutants_{name}", FOLDER / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-sys.path.insert(0, str(FOLDER))
-run = _module("run")
-sys.path.remove(str(FOLDER))
-draw, kept = sys.modules["draw"], sys.modules["kept"]
-PACKAGE, TESTS = run.ROOT / run.PACKAGE, run.ROOT / "tests"
+PACKAGE, TESTS = examine.ROOT / examine.PACKAGE, examine.ROOT / "tests"
 
 
 def test_each_kept_mistake_changes_one_place_and_leaves_python():
@@ -78,37 +63,37 @@ def test_mutants_are_drawn_where_code_computes(tmp_path):
 
 def _repository(folder: Path) -> Path:
     """A repository of one function and its one test."""
-    package, tests = folder / run.PACKAGE, folder / "tests" / "of_sums"
+    package, tests = folder / examine.PACKAGE, folder / "tests" / "of_sums"
     package.mkdir(parents=True)
     tests.mkdir(parents=True)
     (package / "__init__.py").write_text("")
     (package / "sums.py").write_text("def plus(a, b):\n    return a + b  # never less\n")
     (tests / "test_sums.py").write_text(
-        f"from {run.PACKAGE}.sums import plus\n\n\ndef test_sums():\n    assert plus(1, 2) == 3\n"
+        f"from {examine.PACKAGE}.sums import plus\n\n\ndef test_sums():\n    assert plus(1, 2) == 3\n"
     )
     subprocess.run(["git", "init", "--quiet", str(folder)], check=True)
     return folder
 
 
 def test_a_planted_mistake_is_found_and_the_source_put_back(tmp_path, request, monkeypatch):
-    copy = run.Copy(_repository(tmp_path / "repository"), tmp_path / "copy")
+    copy = examine.Copy(_repository(tmp_path / "repository"), tmp_path / "copy")
     copy.check_import()
     of = lambda old, new: kept.Kept("sums.py", "planted", "plus", old, new, ("test_sums.py",))
     judged = lambda mistake: copy.examine(mistake, "not exhaustive", whole=False)
     request.addfinalizer(copy.close)
-    monkeypatch.setattr(run, "LIBRARIES", ("pytest",))
+    monkeypatch.setattr(examine, "LIBRARIES", ("pytest",))
     found = judged(of("a + b", "a - b"))
-    assert (found.verdict, found.what) == (run.CAUGHT, "tests/of_sums/test_sums.py::test_sums")
-    assert judged(of("never less", "ever more")).verdict == run.MISSED
-    assert judged(of("nowhere", "")).verdict == run.NOT_THERE
+    assert (found.verdict, found.what) == (examine.CAUGHT, "tests/of_sums/test_sums.py::test_sums")
+    assert judged(of("never less", "ever more")).verdict == examine.MISSED
+    assert judged(of("nowhere", "")).verdict == examine.NOT_THERE
     assert copy.failing([found.what]) == set()
-    assert (copy.root / run.PACKAGE / "sums.py").read_text().count("a + b") == 1
+    assert (copy.root / examine.PACKAGE / "sums.py").read_text().count("a + b") == 1
 
 
 def test_a_copy_that_imports_another_package_is_refused(tmp_path):
     folder = _repository(tmp_path / "repository")
-    (folder / run.PACKAGE / "__init__.py").unlink()
-    (folder / run.PACKAGE / "sums.py").unlink()
-    copy = run.Copy(folder, tmp_path / "copy")
+    (folder / examine.PACKAGE / "__init__.py").unlink()
+    (folder / examine.PACKAGE / "sums.py").unlink()
+    copy = examine.Copy(folder, tmp_path / "copy")
     with pytest.raises(RuntimeError, match="expected the package that lies there"):
         copy.check_import()
