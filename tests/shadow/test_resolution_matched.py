@@ -42,6 +42,13 @@ from diffshadow.shadow import (
 from diffshadow.shadow.layouts import PagedLight
 from diffshadow.shadow.layouts._resolution_matched import levels_needed
 
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled_alike():
+    """Pages are compared with whole maps bit for bit, so neither reuses a program of tests before that is optimized."""
+    jax.clear_caches()
+
+
 PAGE, GUTTER, WIDE = 16, 6, 64
 """Sides of a page and of the map at level 0, and the gutter, in texels."""
 LEVELS = 3
