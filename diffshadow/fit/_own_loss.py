@@ -35,7 +35,7 @@ class Seen(NamedTuple):
     def of(
         cls, image: Float[Array, "*n h w"], reference: Float[Array, "*n h w"], mask: Bool[Array, "*n h w"]
     ) -> "Seen":
-        """An image, or several. Pixels that do not count may hold any number, and become those of the reference."""
+        """One image or several. Outside the mask, an image may hold any number; the reference replaces it there."""
         return cls(jnp.where(mask, image, reference), reference, mask)
 
 

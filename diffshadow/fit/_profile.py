@@ -1,7 +1,7 @@
 """How sure fitted values are: the error along each, with the others fitted again."""
 
 from collections.abc import Callable, Collection, Sequence
-from typing import Literal, NamedTuple, TypeVar
+from typing import Literal, NamedTuple
 
 from ._parameters import Parameter
 from ._run import Run, Values
@@ -21,8 +21,6 @@ _MARGIN = 0.1
 _BETTER, _RESTARTS = 1e-3, 4
 # Errors below this, in visibility, are rounding.
 _MIN_ERROR = 1e-5
-
-Found = TypeVar("Found")
 
 Bound = Literal["lower", "upper"]
 """One of the two bounds of a parameter."""
@@ -112,7 +110,7 @@ class Profiler:
 
         return self._about_one_best(furthest)
 
-    def _about_one_best(self, search: Callable[[], Found]) -> Found:
+    def _about_one_best[Found](self, search: Callable[[], Found]) -> Found:
         """What `search` finds in a whole round without a better best. After the last restart no trial becomes the best,
         so that all that is found is about the same one."""
         self._restarts = 0

@@ -149,8 +149,10 @@ class _File(NamedTuple):
 
 
 def _files(named: Iterable[str], folder: Path) -> Iterator[tuple[str, _File | None]]:
-    """The files of lines `mtllib`, each of which has one name, perhaps with spaces, or several names; none where there
-    is no such file."""
+    """The names in lines `mtllib` with their files, or none where a file is missing.
+
+    A line holds one name, which may contain spaces, or several names.
+    """
     for rest in dict.fromkeys(named):
         whole = _found(folder, rest)
         yield from [(rest, whole)] if whole is not None else [(name, _found(folder, name)) for name in rest.split()]
@@ -224,7 +226,7 @@ def _is_idle(option: str, given: Mapping[str, list[str]]) -> bool:
 
 
 def _pair(words: Sequence[str] | None, missing: float) -> tuple[float, float]:
-    """The first two numbers, of which later ones may be missing."""
+    """The first two numbers of `words`; `missing` replaces a number that is left out."""
     first, second, *_ = [*map(float, words or ()), missing, missing]
     return first, second
 

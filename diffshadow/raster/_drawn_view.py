@@ -16,6 +16,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from .._arithmetic import dot, is_traced, take
+from .._device import is_on_gpu
 from .._types import Faces, Scalar
 from ..geometry import Mesh, View, eye_of
 
@@ -31,8 +32,8 @@ def drawn_view(view: View, mesh: Mesh) -> View:
 
     Nothing that `view` sees of `mesh` is cut away. A view whose depths are fine already is returned to the bit.
     """
-    # Most views are fine, and this is known without a program of JAX.
-    is_known = not is_traced((view, mesh.vertices))
+    # Most views are fine. On CPUs this is known without a program of JAX; from a GPU, vertices would be copied.
+    is_known = not is_on_gpu() and not is_traced((view, mesh.vertices))
     return view if is_known and _is_fine(view, np.asarray(mesh.vertices)) else _moved(view, mesh)
 
 

@@ -6,8 +6,11 @@ from collections.abc import Callable
 
 
 def start(work: Callable[[], None], stop: Callable[[], None], name: str) -> threading.Thread:
-    """Starts a thread that does `work`. At the end of Python it is told to `stop`, and waited for: cut off in native
-    code, it would end the process with an error."""
+    """Starts a thread that does `work`.
+
+    When Python exits, it calls `stop` and waits for the thread. A thread that is cut off in native code would end the
+    process with an error.
+    """
 
     def leave() -> None:
         stop()

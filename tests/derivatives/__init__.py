@@ -65,8 +65,12 @@ def row(
 
 
 class Found(NamedTuple):
-    """Leaves of the value, (m,) each; and of each leaf central differences, derivatives by forward mode, (n, m), and by
-    reverse mode those of all leaves weighed, (n,), with what forward mode makes of them."""
+    """What was found at a row's numbers, (n,).
+
+    - `values`: the leaves of the value, (m,) each.
+    - `differences`, `forward`: central differences and forward-mode derivatives of each leaf, (n, m).
+    - `backward`, `expected`: the derivative of a weighted sum of all leaves, (n,), by reverse and by forward mode.
+    """
 
     values: list[np.ndarray]
     differences: list[np.ndarray]

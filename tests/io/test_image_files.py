@@ -305,7 +305,7 @@ def test_a_full_disk_is_an_error_with_the_path(code, tmp_path):
         write_visibility_on_a_full_disk(tmp_path / ".run-draft.npy", code)
     assert str(caught.value).startswith(f"cannot write {tmp_path / 'run'}: {os.strerror(code)}; expected")
     assert str(caught.value).endswith("; 3 are kept")
-    # Another error stays what it is.
+    # Other errors pass unchanged.
     with pytest.raises(PermissionError), atomic_path(target):
         raise PermissionError(errno.EACCES, "no")
 

@@ -367,7 +367,7 @@ def test_import_of_an_obj_file_keeps_its_materials(tmp_path):
     assert made.read_text().count("alpha_cutoff: 0.625") == 1
     with warnings.catch_warnings(action="ignore"):
         whole = io.load_mesh(tmp_path / "a.obj")
-    # The plain faces come first, then those of each texture.
+    # Faces without a texture come first. The faces of each texture follow.
     order = [2, 3, 0, 1]
     found = merge(parts)
     colours = np.asarray(found.albedo)[:, None] * np.asarray(found.corner_colours)

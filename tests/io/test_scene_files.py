@@ -102,7 +102,7 @@ def test_a_light_that_shines_at_itself_is_remarked(tmp_path):
 
 
 def test_normals_of_a_skin_stay_upright_on_its_surface(tmp_path):
-    """A joint that turns and stretches: normals are those of the moved faces."""
+    """The joint turns and stretches the mesh. The normals must be the normals of the moved faces."""
     content = gltf()
     slant = np.array([(0, 0, 0), (1, 0, 1), (0, 1, 0)], "<f4")
     normal = np.array([-1, 0, 1]) / math.sqrt(2)

@@ -52,7 +52,7 @@ def draw(package: Path, tests: Path, files: Sequence[Path], count: int, seed: in
 
 
 def mirrors(module: Path, tests: Path) -> tuple[str, ...]:
-    """The files of tests for a module, below `tests`: those of its name, or else all of its folder."""
+    """The test files for a module, below `tests`: the files with its name, or all files in its folder."""
     stem, folder = module.stem.strip("_"), tests / module.parts[0].removesuffix(".py")
     named = sorted(tests.rglob(f"test_{stem}.py"))
     found = named or sorted(folder.glob("**/test_*.py")) or sorted(tests.glob(f"test_{module.parts[0].strip('_')}*"))

@@ -1,7 +1,5 @@
 """Images of cameras whose near and far distances leave window depth few digits."""
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -90,8 +88,19 @@ def test_near_is_raised_to_a_part_of_the_nearest_surface():
     view = drawn_view(camera.view(), quad((0, 0, 0), (9, 0, 0), (0, 0, -9)))
     # The plane lies 2 below the eye; rays through corners leave the axis by atan(√2 tan 30°).
     assert float(view.near) == pytest.approx(2 / np.sqrt(1 + 2 * np.tan(np.pi / 6) ** 2) / 2, rel=1e-5)
-    fine = dataclasses.replace(camera, near=0.2).view()
-    assert drawn_view(fine, FLOOR) is fine
+
+
+@pytest.mark.parametrize("is_gpu", [False, True])
+def test_a_view_whose_depths_are_fine_stays_as_it_is(is_gpu, monkeypatch):
+    """On GPUs, a program finds this out, since vertices are not copied to the host."""
+    monkeypatch.setattr("diffshadow.raster._drawn_view.is_on_gpu", lambda: is_gpu)
+    for camera in (pinhole(0.3), parallel(0.1, 30.0)):
+        view = camera.view()
+        assert (drawn_view(view, SCENE) is view) == (not is_gpu)
+        for found, given in zip(jax.tree.leaves(drawn_view(view, SCENE)), jax.tree.leaves(view), strict=True):
+            np.testing.assert_array_equal(found, given)
+    moved = drawn_view(pinhole(1e-6).view(), SCENE)
+    assert float(moved.near) > 0.1
 
 
 def test_a_traced_camera_sees_the_same_faces_and_keeps_its_gradient():

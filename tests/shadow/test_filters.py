@@ -251,7 +251,7 @@ SIZED = [PercentageCloser, MomentShadowMap, Tent, VarianceShadowMap, Exponential
 
 @pytest.mark.parametrize("kind", marked(SIZED, exhaustive=SIZED[2:]))
 def test_a_radius_that_is_traced_has_a_reach_of_its_own(kind, rng):
-    """Filters made within `jax.grad` have the gradient of those that are told how wide they can become."""
+    """A filter made within `jax.grad` has the same gradient as one with `max_radius`."""
     shadow_map, lookup = random_map(rng), random_lookups(rng)
     mean = lambda made: jnp.mean(made(shadow_map, lookup, SOFT))
     free = eqx.filter_jit(jax.value_and_grad(lambda radius: mean(kind(radius))))
