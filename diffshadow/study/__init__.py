@@ -62,7 +62,7 @@ _ON_USE = {
 
 
 def __getattr__(name: str) -> Any:
-    # Sweeps load Dask, pandas and Arrow; pages load Matplotlib.
+    # Sweeps load Dask; pages load Matplotlib.
     if name in _ON_USE:
         return getattr(import_module(_ON_USE[name], __name__), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

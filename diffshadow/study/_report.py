@@ -25,7 +25,7 @@ def report(folder: Path, *, form: str | None = None, dpi: int = 150) -> Path:
     kind = read_result(folder)["kind"]
     io.check_writable(folder)
     if kind == SWEEP:
-        # Here, since it loads pandas.
+        # Here, since only sweeps need it.
         from .sweeps._report import report_sweep
 
         return report_sweep(folder, form)

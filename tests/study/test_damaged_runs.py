@@ -373,10 +373,10 @@ def test_run_that_is_not_unicode_is_named_all_the_same(counted, told, monkeypatc
     [
         (lambda t: t.drop_columns("status"), "has no column status"),
         (lambda t: t.drop_columns("filter.radius"), "has no column filter.radius"),
-        (lambda t: t.set_column(1, "id", pa.array(range(6))), "its column id holds int64; expected text"),
+        (lambda t: t.set_column(1, "id", pa.array(range(6))), "its column id holds 0; expected text"),
         (lambda t: t.set_column(1, "id", pa.array(["../../etc"] * 6)), "not identifiers"),
-        (lambda t: t.set_column(6, "rmse", pa.array(list("abcdef"))), "its column rmse holds string; expected numbers"),
-        (lambda t: t.set_column(6, "rmse", pa.array([[1.0]] * 6)), "its column rmse holds list"),
+        (lambda t: t.set_column(6, "rmse", pa.array(list("abcdef"))), "its column rmse holds 'a'; expected numbers"),
+        (lambda t: t.set_column(6, "rmse", pa.array([[1.0]] * 6)), "its column rmse holds [1.0]"),
         (lambda t: t.set_column(6, "rmse", pa.array([np.inf] * 6)), "its column rmse holds inf"),
         (lambda t: t.append_column("rmse", t["rmse"]), "two columns with the same name"),
         (lambda t: t.slice(0, 0), None),

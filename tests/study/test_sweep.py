@@ -30,6 +30,7 @@ from diffshadow.config.reading._load import parse_draft
 from diffshadow.metrics import flicker
 from diffshadow.settings import rules
 from diffshadow.study.remarks._layout import frames_remarks
+from diffshadow.study.sweeps import _table as tables
 from diffshadow.study.sweeps._curves import curves_of
 from diffshadow.study.sweeps._run import missing_runs
 from diffshadow.study.sweeps._work import drawing_of
@@ -627,12 +628,39 @@ def test_sweep_in_parts_gives_the_same_table(quick, monkeypatch):
     assert (parts / "results.parquet").read_bytes() == (whole / "results.parquet").read_bytes()
 
 
-def test_numbers_of_any_size_have_a_column():
-    from diffshadow.study.sweeps._table import _column
+@pytest.mark.parametrize("suffix", [".parquet", ".csv"])
+def test_columns_are_read_as_they_were_written(suffix, monkeypatch):
+    """Whole numbers, gaps, and text that looks like numbers."""
+    monkeypatch.setattr(tables, "_has_arrow", lambda: suffix == ".parquet")
+    grid = "filter.radius: [2, 1.5], shadow_map.resolution: [[8, 8], [9, 9]]"
+    labels = """[{label: "0.10", seed: 7}, {label: 'say "1", 2'}]"""
+    sweep = sweep_of(f"{{list: {labels}, grid: {{{grid}}}}}")
+    found = tables.gather(sweep, Path())
+    tables.write_tables(Path(), sweep, found)
+    assert tables.table_of(Path()) == Path(f"results{suffix}")
+    rows = tables.rows_of(tables.read_columns(Path(f"results{suffix}")))
+    assert rows == tables.rows_of(found.results)
+    columns = ("run", "label", "filter.radius", "shadow_map.resolution", "status", "error")
+    assert [rows[5][name] for name in columns] == [5, 'say "1", 2', 2, "[9, 9]", "missing", None]
 
-    assert _column([1, None, 2]).to_pylist() == [1, None, 2]
-    assert _column([10**30, 1.5, None]).to_pylist() == [1e30, 1.5, None]
-    assert _column([2**63, 1]).to_pylist() == [2.0**63, 1.0]
+
+def test_sweep_without_pyarrow_has_the_same_page(quick, monkeypatch):
+    folder, _ = run(load_sweep(Path("s.yaml")))
+    page, rows = (folder / "report.html").read_text(), table(folder)
+    monkeypatch.setattr(tables, "_has_arrow", lambda: False)
+    assert "all are in results.csv" in run(load_sweep(Path("s.yaml")))[1]
+    # An outdated table would be read where pyarrow is installed.
+    assert sorted(path.name for path in folder.glob("*.[cp]*")) == ["plot.png", "results.csv", "timings.csv"]
+    assert (folder / "report.html").read_text() == page
+    header, first, *_ = (folder / "results.csv").read_text().splitlines()
+    assert header.startswith('"run","id","status","error","filter.pattern","filter.radius"')
+    assert first.startswith(f'0,"{rows["id"][0]}","ok","","{rows["filter.pattern"][0]}",{rows["filter.radius"][0]}')
+    (folder / "results.csv").write_text(header + "\n" + first.replace('"ok"', "7") + "\n")
+    with pytest.raises(io.FileError, match="its column status holds 7; expected text"):
+        study.report(folder)
+    (folder / "results.csv").rename(folder / "results.parquet")
+    with pytest.raises(io.FileError, match=r"results.parquet needs the package pyarrow.*pip install pyarrow"):
+        study.report(folder)
 
 
 def test_failed_run_stops_no_other_and_is_tried_again(quick, monkeypatch):

@@ -63,7 +63,7 @@ class SweepConfig(AxesConfig):
     ] = None
     plot: Annotated[PlotConfig | None, "a figure of the results; default: none"] = None
     figures: Annotated[bool, "whether each run also writes its own figures"] = False
-    csv: Annotated[bool, "whether the table is also written as CSV"] = False
+    csv: Annotated[bool, "whether the table is also written as CSV where it is Parquet"] = False
 
     @property
     def axes(self) -> tuple[str, ...]:

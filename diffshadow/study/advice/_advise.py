@@ -22,6 +22,7 @@ from ..runs._progress import counting
 from ..runs._record import versions, write_yaml
 from ..sweeps._pace import Pace, saying_how_long
 from ..sweeps._run import counts_of, doing, failures, print_plan, record_of, write_record
+from ..sweeps._table import rows_of
 from ..sweeps._work import FITTED, OK, VALIDATION
 from ._candidates import Candidate, front, ranked, recommended
 from ._engines import code_file, engine_code, title_of
@@ -65,7 +66,7 @@ def run_advise(advice: Advice, *, console: Console, scheduler: str | None = None
         problems = list(failures(tables.results))
         fitted = [
             _Fitted(i, row, with_fitted(sweep.runs[i].config, _values(row)))
-            for i, row in enumerate(tables.results.to_pylist())
+            for i, row in enumerate(rows_of(tables.results))
             if row["status"] == OK
         ]
         fitted = [_at_best(each, fitted) for each in fitted]

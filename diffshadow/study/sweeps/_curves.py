@@ -39,10 +39,11 @@ class Curve(NamedTuple):
     error: float | None
 
 
-def columns_for(plot: PlotConfig, table: Any) -> dict[str, list[Any]]:
-    """The columns of an Arrow table of results that `plot` needs, as far as they exist."""
+def columns_for(plot: PlotConfig, table: Mapping[str, HostArray]) -> dict[str, list[Any]]:
+    """The columns of a table of results that `plot` needs, as far as they exist, with none where a run has no value."""
     needed = {plot.x, plot.y, plot.lines, plot.panels, "seed"}
-    return {name: table[name].to_pylist() for name in table.column_names if name in needed}
+    known = lambda values: [None if value != value else value for value in values]
+    return {name: known(column.tolist()) for name, column in table.items() if name in needed}
 
 
 def curves_of(columns: Mapping[str, Sequence[Any]], plot: PlotConfig) -> list[Curve]:

@@ -1,34 +1,29 @@
 """The report of a sweep: the results of each combination of values, the figure, and the failures."""
 
 import contextlib
+import itertools
 import math
 import re
 import tempfile
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import pandas as pd
-import pyarrow as pa
-from pyarrow import parquet
+from jaxtyping import Float
 
 from ... import io
+from ..._types import HostArray
 from ...config import ConfigError, PlotConfig, Row, SweepConfig, describe, load_config
 from ..files._stored import CONFIG, REPORT, read_result
-from ._curves import curves_of, unit_of, with_unit
-from ._table import MISSING, RESULTS, metric_columns
+from ._curves import columns_for, curves_of, unit_of, with_unit
+from ._table import MISSING, Columns, metric_columns, read_columns, table_of
 from ._work import FAILED, FIGURES, OK, RUNS
 
-Runs = Any
-"""A data frame with one row per run. Pandas' types are too vague for type checkers."""
 _SEED = "seed"
 # The name of a run's folder.
 _ID = re.compile("[0-9a-f]{16}")
-# Far more than any sweep has. A table with more rows is damaged.
-_MAX_RUNS = 1 << 24
-# So many rows are read at a time.
-_ROWS_AT_ONCE = 1 << 16
 # The greatest float32.
 _MOST = float(np.finfo(np.float32).max)
 # The most combinations, pictures of runs, values of an axis, and errors that are shown.
@@ -65,8 +60,8 @@ def report_sweep(folder: Path, form: str | None = None) -> Path:
     axes = [axis for axis in sweep.axes if axis != _SEED]
     settings = _settings(folder, runs)
     figure = _figure(folder, sweep.plot, runs, settings, form)
-    good = runs[runs["status"] == OK]
-    summary = _summary(good, axes, metric_columns(sweep, list(runs.columns)))
+    good = _rows(runs, runs["status"] == OK)
+    summary = _summary(good, axes, metric_columns(sweep, list(runs)))
     failures, more_failures = _failures(runs, axes)
     loose = [path for path in _pictures(folder) if figure is None or path.stem != "plot"]
     write_page(
@@ -74,15 +69,15 @@ def report_sweep(folder: Path, form: str | None = None) -> Path:
         "sweep.html.j2",
         name=result["name"],
         kind=sweep.run,
-        total=len(runs),
-        done=len(good),
+        total=len(runs["id"]),
+        done=len(good["id"]),
         failed=int((runs["status"] == FAILED).sum()),
         missing=int((runs["status"] == MISSING).sum()),
-        axes=[(axis, _listed(runs[axis].dropna().unique().tolist()), unit_of(settings, axis)) for axis in axes],
+        axes=[(axis, _listed(_distinct(runs[axis])), unit_of(settings, axis)) for axis in axes],
         summary=summary,
         heads=[with_unit(settings, axis) for axis in axes],
         left_out=summary.total - len(summary.rows),
-        seeds=int(good[_SEED].nunique()),
+        seeds=len(_distinct(good[_SEED])),
         figure=figure,
         pictures=[
             p._replace(title=title) for path, title in _of_runs(folder, runs, axes) for p in file_pictures([path])
@@ -97,87 +92,78 @@ def report_sweep(folder: Path, form: str | None = None) -> Path:
     return folder / REPORT
 
 
-def _read_table(folder: Path, sweep: SweepConfig) -> Runs:
-    file = folder / RESULTS
-    if not file.is_file():
-        raise io.FileError(
-            f"{folder} holds an incomplete sweep: it has no {RESULTS}; expected a table of results: sweep again"
-        )
+def _read_table(folder: Path, sweep: SweepConfig) -> Columns:
+    file = table_of(folder)
+    runs = read_columns(file)
     try:
-        with file.open("rb") as stream, parquet.ParquetFile(stream) as stored:
-            if stored.metadata.num_rows > _MAX_RUNS:
-                raise ValueError(f"it has {stored.metadata.num_rows:,} rows; expected at most {_MAX_RUNS:,}")
-            _check_columns(stored.schema_arrow, sweep)
-            parts = [_checked(part) for part in stored.iter_batches(_ROWS_AT_ONCE)]
-            return pd.concat(parts or [stored.schema_arrow.empty_table().to_pandas()], ignore_index=True)
-    except Exception as error:  # Arrow raises many types
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise io.FileError(f"{file} is damaged ({reason}); expected a sweep's table: sweep again") from error
-
-
-def _check_columns(schema: pa.Schema, sweep: SweepConfig) -> None:
-    """**Raises** `ValueError` unless a table has the columns of a sweep."""
-    if len(set(schema.names)) < len(schema.names):
-        raise ValueError("it has two columns with the same name")
-    for name in ("id", "status", "error", *sweep.axes):
-        if name not in schema.names:
-            raise ValueError(f"it has no column {name}")
-    numbers = lambda kind: pa.types.is_floating(kind) or pa.types.is_integer(kind)
-    for name in schema.names:
-        kind = schema.field(name).type
-        if name in ("id", "status", "error"):
-            # If no run has failed, the column may have any type.
-            if not pa.types.is_string(kind) and name != "error":
-                raise ValueError(f"its column {name} holds {kind}; expected text")
-        elif not (numbers(kind) or (name in sweep.axes and (pa.types.is_string(kind) or pa.types.is_boolean(kind)))):
-            raise ValueError(f"its column {name} holds {kind}; expected numbers")
-
-
-def _checked(part: pa.RecordBatch) -> Runs:
-    """A part of the rows. **Raises** `ValueError` as `_check_values` does."""
-    runs = part.to_pandas()
-    _check_values(runs)
+        _check(runs, sweep)
+    except ValueError as error:
+        raise io.FileError(f"{file} is damaged ({error}); expected a sweep's table: sweep again") from error
     return runs
 
 
-def _check_values(runs: Runs) -> None:
-    """**Raises** `ValueError` unless the identifiers, errors and numbers of a table are valid."""
-    if not all(_ID.fullmatch(id) for id in runs["id"]):
+def _check(runs: Columns, sweep: SweepConfig) -> None:
+    """**Raises** `ValueError` unless a table has the columns of a sweep, with valid values."""
+    for name in ("id", "status", "error", *sweep.axes):
+        if name not in runs:
+            raise ValueError(f"it has no column {name}")
+    for name, column in runs.items():
+        given = [value for value in column.tolist() if not _is_gap(value)]
+        is_text = name in ("id", "status", "error")
+        kinds = str if is_text else str | int | float if name in sweep.axes else int | float
+        odd = next((value for value in given if not isinstance(value, kinds)), None)
+        if odd is not None or (name in ("id", "status") and len(given) < len(column)):
+            raise ValueError(f"its column {name} holds {odd!r}; expected {'text' if is_text else 'numbers'}")
+        most = max((abs(value) for value in given if not isinstance(value, str)), default=0)
+        if most > _MOST:
+            raise ValueError(f"its column {name} holds {most:g}; expected numbers up to {_MOST:g}")
+    if not all(map(_ID.fullmatch, runs["id"])):
         raise ValueError("its column id holds values that are not identifiers of runs")
-    if not all(isinstance(error, str) or pd.isna(error) for error in runs["error"]):
-        raise ValueError("its column error holds values that are not text")
-    for name in runs.select_dtypes("number").columns:
-        if (runs[name].abs() > _MOST).any():
-            raise ValueError(f"its column {name} holds {runs[name].abs().max():g}; expected numbers up to {_MOST:g}")
 
 
-def _summary(good: Runs, axes: Sequence[str], metrics: Sequence[str]) -> Summary:
+def _is_gap(value: Any) -> bool:
+    """Whether a run has no value: none, or NaN."""
+    return value is None or value != value
+
+
+def _rows(runs: Columns, which: HostArray) -> Columns:
+    return {name: column[which] for name, column in runs.items()}
+
+
+def _distinct(column: HostArray) -> list[Any]:
+    """The values of a column, each once, in their order."""
+    return [value for value in dict.fromkeys(column.tolist()) if not _is_gap(value)]
+
+
+def _summary(good: Columns, axes: Sequence[str], metrics: Sequence[str]) -> Summary:
     """Means over the seeds of each combination, and their standard errors."""
     # Without axes, all runs belong to one combination.
-    by = list(axes) or [np.zeros(len(good))]
-    groups = good.groupby(by, sort=False, dropna=False)
-    runs = groups.size()
-    means, deviations = groups[list(metrics)].mean(), groups[list(metrics)].sem()
-    rows = []
-    for i in range(min(len(runs), _MAX_ROWS)):
-        key = runs.index[i] if len(axes) > 1 else (runs.index[i],)
-        texts = [_mean(means[name].iloc[i], deviations[name].iloc[i]) for name in metrics]
-        rows.append(([_text(value) for value in key] if axes else [], texts, int(runs.iloc[i])))
-    return Summary(list(axes), list(metrics), rows, len(runs))
+    groups: dict[tuple[Any, ...], list[int]] = {}
+    for row in range(len(good["id"])):
+        values = (good[axis][row] for axis in axes)
+        groups.setdefault(tuple(None if _is_gap(value) else value for value in values), []).append(row)
+    numbers = {name: good[name].astype(np.float64) for name in metrics}
+    rows = [
+        ([_text(value) for value in key], [_mean(numbers[name][group]) for name in metrics], len(group))
+        for key, group in itertools.islice(groups.items(), _MAX_ROWS)
+    ]
+    return Summary(list(axes), list(metrics), rows, len(groups))
 
 
-def _mean(mean: float, error: float) -> str:
+def _mean(values: Float[HostArray, " n"]) -> str:
     """A mean and its standard error. The error has two digits, and the mean has the same number of decimals."""
-    if pd.isna(mean):
+    known = values[~np.isnan(values)]
+    if not len(known):
         return "–"
-    if pd.isna(error) or error <= 0:
+    mean, error = known.mean(), known.std(ddof=1) / len(known) ** 0.5 if len(known) > 1 else 0.0
+    if error <= 0:
         return f"{mean:.4g}"
     decimals = max(1 - math.floor(math.log10(error)), 0)
     return f"{mean:.{decimals}f} ± {error:.{decimals}f}"
 
 
 def _text(value: Any) -> str:
-    if pd.isna(value):
+    if _is_gap(value):
         # An entry of the list that does not set this key.
         return "–"
     return f"{value:g}" if isinstance(value, float) else str(value)
@@ -188,23 +174,24 @@ def _listed(values: Sequence[Any]) -> str:
     return ", ".join(map(_text, values[:_MAX_VALUES])) + more
 
 
-def _failures(runs: Runs, axes: Sequence[str]) -> tuple[list[tuple[str, int, str]], int]:
+def _failures(runs: Columns, axes: Sequence[str]) -> tuple[list[tuple[str, int, str]], int]:
     """Each error with its number of runs and the first of these; and the number of errors not shown."""
-    failed = runs[runs["status"] == FAILED]
-    counts = failed["error"].value_counts(sort=False)
-    firsts = failed.drop_duplicates("error").dropna(subset="error").head(_MAX_ERRORS)
+    failed = np.flatnonzero(runs["status"] == FAILED).tolist()
+    counts = Counter(error for row in failed if (error := runs["error"][row]) is not None)
+    firsts = {runs["error"][row]: row for row in reversed(failed)}
     shown = [
-        ("; ".join(run["error"].splitlines()), int(counts[run["error"]]), _values(run, axes))
-        for _, run in firsts.iterrows()
+        ("; ".join(error.splitlines()), count, _values(runs, firsts[error], axes))
+        for error, count in itertools.islice(counts.items(), _MAX_ERRORS)
     ]
     return shown, len(counts) - len(shown)
 
 
-def _values(run: Runs, axes: Sequence[str]) -> str:
-    return ", ".join(f"{axis} = {_text(run[axis])}" for axis in (*axes, _SEED) if not pd.isna(run[axis]))
+def _values(runs: Columns, row: int, axes: Sequence[str]) -> str:
+    values = {axis: runs[axis][row] for axis in (*axes, _SEED)}
+    return ", ".join(f"{axis} = {_text(value)}" for axis, value in values.items() if not _is_gap(value))
 
 
-def _settings(folder: Path, runs: Runs) -> list[Row]:
+def _settings(folder: Path, runs: Columns) -> list[Row]:
     """The settings of the first run whose configuration can be read."""
     for id in runs["id"]:
         file = folder / RUNS / id / CONFIG
@@ -214,17 +201,17 @@ def _settings(folder: Path, runs: Runs) -> list[Row]:
     return []
 
 
-def _figure(folder: Path, plot: PlotConfig | None, runs: Runs, settings: Sequence[Row], form: str | None) -> str | None:
+def _figure(
+    folder: Path, plot: PlotConfig | None, runs: Columns, settings: Sequence[Row], form: str | None
+) -> str | None:
     """The sweep's figure for the page, if it has one. Also written to the folder if a format `form` is given."""
     from .. import style
     from ._figures import write_plot
 
     if plot is None:
         return None
-    needed = [str(name) for name in runs.columns if name in (plot.x, plot.y, plot.lines, plot.panels, _SEED)]
-    columns = {name: [None if pd.isna(value) else value for value in runs[name].tolist()] for name in needed}
     try:
-        curves = curves_of(columns, plot)
+        curves = curves_of(columns_for(plot, runs), plot)
     except ValueError:
         # No run has the metric; the failures explain why.
         return None
@@ -240,22 +227,22 @@ def _pictures(folder: Path) -> list[Path]:
     return sorted(path for path in folder.iterdir() if path.suffix in (".png", ".svg") and path.is_file())
 
 
-def _best(folder: Path, good: Runs) -> Path | None:
+def _best(folder: Path, good: Columns) -> Path | None:
     """The folder of the run with the least RMSE; none if no run has both."""
-    if "rmse" not in good.columns or not good["rmse"].notna().any():
+    errors = good.get("rmse", np.zeros(0))
+    if not len(errors) or np.isnan(errors).all():
         return None
-    found = folder / RUNS / str(good["id"][good["rmse"].idxmin()])
+    found = folder / RUNS / good["id"][np.nanargmin(errors)]
     return found if (found / CONFIG).is_file() else None
 
 
-def _of_runs(folder: Path, runs: Runs, axes: Sequence[str]) -> list[tuple[Path, str]]:
+def _of_runs(folder: Path, runs: Columns, axes: Sequence[str]) -> list[tuple[Path, str]]:
     """Pictures of the runs, with the runs' values; at most `_MAX_PICTURES`."""
     found = []
-    for number in range(len(runs) if (folder / FIGURES).is_dir() else 0):
-        run = runs.iloc[number]
+    for row, id in enumerate(runs["id"] if (folder / FIGURES).is_dir() else ()):
         for pattern in _RUN_PICTURES:
-            paths = sorted((folder / FIGURES).glob(f"{run['id']}*/{pattern}"))
-            found += [(path, _values(run, axes)) for path in paths if path.is_file()]
+            paths = sorted((folder / FIGURES).glob(f"{id}*/{pattern}"))
+            found += [(path, _values(runs, row, axes)) for path in paths if path.is_file()]
         if len(found) >= _MAX_PICTURES:
             break
     return found[:_MAX_PICTURES]

@@ -11,8 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
-import pyarrow.compute as pc
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
@@ -30,7 +29,7 @@ from ._curves import Curve, columns_for, curves_of
 from ._pace import Pace
 from ._pool import pool
 from ._report import report_sweep
-from ._table import MISSING, RESULTS, Tables, gather, metric_columns, write_tables
+from ._table import MISSING, Columns, Tables, gather, metric_columns, table_of, write_tables
 from ._work import FAILED, OK, RUNS, Batch, drawing_of, read_outcome, reference_of, shape_of
 
 SUFFIX = "-sweep"
@@ -86,7 +85,7 @@ def run_sweep(
         write_record(folder, record_of(sweep, SWEEP, counts))
         report_sweep(folder)
     _print(console, sweep, tables.results, curves)
-    table.print_lines(console, _summary(sweep, counts, tried))
+    table.print_lines(console, _summary(sweep, counts, tried, table_of(folder).name))
     table.print_lines(console, [*remarks, *failures(tables.results)], warn=True)
     return folder
 
@@ -314,7 +313,7 @@ def _together(runs: Sequence[SweepRun], size: int, workers: int) -> Iterator[tup
     return (together for layer in layers for together in layer if together is not None)
 
 
-def _plotted(folder: Path, sweep: Sweep, results: pa.Table) -> tuple[list[Curve], list[str]]:
+def _plotted(folder: Path, sweep: Sweep, results: Columns) -> tuple[list[Curve], list[str]]:
     """Writes the sweep's figure. **Returns** its curves, and a remark if there is no figure."""
     plot = sweep.settings.plot
     if plot is None:
@@ -338,10 +337,9 @@ def _remarks_on_frames(sweep: Sweep) -> list[str]:
     return list(dict.fromkeys(remark for run in some if run.frames for remark in frames_remarks(run.frames)))
 
 
-def counts_of(results: pa.Table) -> dict[str, int]:
+def counts_of(results: Columns) -> dict[str, int]:
     """The number of runs with each status."""
-    found = results["status"].value_counts().to_pylist()
-    return {each["values"]: each["counts"] for each in found}
+    return Counter(results["status"].tolist())
 
 
 def record_of(sweep: Sweep, kind: str, counts: Mapping[str, int]) -> dict[str, Any]:
@@ -366,7 +364,7 @@ def write_record(folder: Path, whole: Mapping[str, Any]) -> None:
         write_json(temporary, as_stored(whole))
 
 
-def _print(console: Console, sweep: Sweep, results: pa.Table, curves: Sequence[Curve]) -> None:
+def _print(console: Console, sweep: Sweep, results: Columns, curves: Sequence[Curve]) -> None:
     """Prints the sweep's figure in numbers; if there is none, the range of each metric."""
     plot = sweep.settings.plot
     if plot is not None and curves:
@@ -391,31 +389,31 @@ def _print(console: Console, sweep: Sweep, results: pa.Table, curves: Sequence[C
             shown.add_row(*map(table.words, row))
     else:
         shown = Table("metric", "least", "mean", "greatest", title=table.words(sweep.name), title_justify="left")
-        for name in metric_columns(sweep.settings, results.column_names):
-            values = results[name].drop_null().to_numpy()
-            if values.size:
+        for name in metric_columns(sweep.settings, list(results)):
+            values = results[name].astype(np.float64)
+            if (values := values[~np.isnan(values)]).size:
                 shown.add_row(
                     table.words(name), *(f"{number:.4g}" for number in (values.min(), values.mean(), values.max()))
                 )
     console.print(shown)
 
 
-def _summary(sweep: Sweep, counts: Mapping[str, int], tried: int) -> list[str]:
+def _summary(sweep: Sweep, counts: Mapping[str, int], tried: int, table: str) -> list[str]:
     lines = [
         f"{counts.get(OK, 0):,} of {counted(len(sweep.runs), 'run')} {'is' if len(sweep.runs) == 1 else 'are'} done, "
-        f"{tried:,} of them tried now; all are in {RESULTS}"
+        f"{tried:,} of them tried now; all are in {table}"
     ]
     if counts.get(MISSING, 0):
         lines.append("run the same command again to do the rest")
     return lines
 
 
-def failures(results: pa.Table) -> list[str]:
+def failures(results: Columns) -> list[str]:
     """A sentence on the runs that failed, if there are any."""
-    errors = results.filter(pc.field("status") == FAILED)["error"]
-    if not len(errors):
+    errors = results["error"][results["status"] == FAILED].tolist()
+    if not errors:
         return []
-    first, kinds = errors[0].as_py(), len(errors.unique())
+    first, kinds = errors[0], len(set(errors))
     more = f", and {counted(kinds - 1, 'other error')}" if kinds > 1 else ""
     first = "; ".join(first.splitlines())
     return [f"{counted(len(errors), 'run')} failed; the same command tries them again: {first}{more}"]
