@@ -1,7 +1,8 @@
 """The rasterizer: which triangle each pixel sees."""
 
+import dataclasses
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -97,9 +98,9 @@ def rasterize(
 
     **Raises** `ValueError` for a resolution, buffer or depth test out of range.
     """
-    return _draw(
-        clip, faces, resolution, cull, depth_test, polygon_offset, behind, True, pages, viewports, buffer, alpha_test
-    )
+    return _Request(
+        clip, faces, resolution, cull, depth_test, polygon_offset, alpha_test, True, behind, pages, viewports, buffer
+    ).drawn()
 
 
 def rasterize_depth(
@@ -113,82 +114,120 @@ def rasterize_depth(
     alpha_test: Textures | None = None,
 ) -> Float[Array, "*b h w"]:
     """The depth buffer alone, (h, w): `rasterize(...).depth`, in less time. It carries no gradient."""
-    return _draw(clip, faces, resolution, cull, depth_test, polygon_offset, None, False, None, None, None, alpha_test)
+    return _Request(clip, faces, resolution, cull, depth_test, polygon_offset, alpha_test, with_face=False).drawn()
 
 
-def _draw(
-    clip, faces, resolution, cull, test, polygon_offset, behind, with_face, pages, viewports, buffer, alpha_test
-) -> Any:
-    test = test or DepthTest()
-    test.check()
-    check_value("the resolution", resolution, Size, "pixels")
-    check_value("cull", cull, Cull)
-    if buffer is not None and not all(n <= size <= MAX_TEXELS for n, size in zip(resolution, buffer, strict=True)):
-        raise ValueError(
-            f"the buffer is {buffer}; expected (height, width), at least {resolution} and at most {MAX_TEXELS} pixels "
-            "each"
-        )
-    if pages is not None and resolution != (pages.side, pages.side):
-        raise ValueError(f"the resolution is {resolution}; expected the side of the pages' layers, {pages.side} pixels")
-    if isinstance(clip, Tracer):
-        # Outside of `jit`, this gives the values of what is traced for its derivative, as by `jax.jvp`.
-        clip = lax.stop_gradient(clip)
-    # The search is integer work and single precision whatever the precision of what is interpolated later.
-    clip, faces = padded(clip if clip.dtype == jnp.float32 else clip.astype(jnp.float32), faces)
-    if polygon_offset is not None:
-        polygon_offset = lax.stop_gradient(as_float(polygon_offset)).astype(jnp.float32)
-    if alpha_test is not None:
-        if alpha_test.index.shape != faces.shape[:1]:
-            alpha_test = alpha_test.padded(faces.shape[0])
-        single = lambda leaf: lax.stop_gradient(leaf.astype(jnp.float32)) if eqx.is_inexact_array(leaf) else leaf
-        alpha_test = jax.tree.map(single, alpha_test)
-    given = clip, faces, polygon_offset, behind, viewports, alpha_test
-    if pages is None and not is_traced(given):
-        return _draw_shared(
-            clip, faces, resolution, cull, test, polygon_offset, behind, with_face, viewports, buffer, alpha_test
-        )
+class _Scene(NamedTuple):
+    """What one view is drawn of: `clip` (v, 4) and the fields of `_Request`; textures of all faces."""
 
-    def view(clip: Any, behind: Array | None, viewport: Array | None) -> Fragments | Array:
-        viewport = resolution if viewport is None else viewport
-        draws = FACING[cull]
-        return _traced(
-            clip, faces, viewport, resolution, draws, test, polygon_offset, behind, with_face, pages, alpha_test
-        )
-
-    # One view after the other, since each has its own number of triangles to draw.
-    return lax.map(lambda each: view(*each), (clip, behind, viewports)) if clip.ndim > 2 else view(clip, behind, None)
+    clip: Any
+    faces: Any
+    polygon_offset: Any
+    behind: Array | None
+    textures: Textures | None
 
 
 # Smaller images are drawn into buffers of this side.
 _SHARED_SIDE = 256
 
 
-def _draw_shared(
-    clip, faces, resolution, cull, test, polygon_offset, behind, with_face, viewports, buffer, alpha_test
-) -> Any:
-    """Draws outside of a trace, so that what is compiled is shared: by all small images, by one view and several, and
-    whatever is culled."""
-    height, width = resolution
-    buffer = buffer or resolution
-    if max(buffer) <= _SHARED_SIDE:
-        buffer = _SHARED_SIDE, _SHARED_SIDE
-    if behind is not None and buffer != resolution:
-        rest = [(0, 0)] * (behind.ndim - 2) + [(0, buffer[0] - height), (0, buffer[1] - width)]
-        behind = jnp.pad(behind, rest, constant_values=NO_FACE)
+@dataclasses.dataclass(frozen=True)
+class _Request:
+    """The arguments of `rasterize`, and whether faces are found, too."""
 
-    # In one array and in NumPy, since to make one on the device takes longer than a small image.
-    numbers = lambda viewport: np.array([*viewport, *FACING[cull]], np.int32)
-    view = lambda clip, behind, viewport: _shared(
-        clip, faces, numbers(viewport), buffer, test, polygon_offset, behind, with_face, alpha_test
-    )
-    # Nothing here depends on the default precision: programs are shared by both.
-    with jax.enable_x64(False):
-        if clip.ndim == 2:
-            drawn = view(clip, behind, resolution)
-            return drawn if buffer == resolution else _cut(drawn, height, width)
-        each = [resolution] * len(clip) if viewports is None else np.asarray(viewports)
-        layers = [None] * len(clip) if behind is None else _apart(behind)
-        return _together([view(*one) for one in zip(_apart(clip), layers, each, strict=True)], height, width)
+    clip: Float[Array, "*b v 4"]
+    faces: Faces
+    resolution: Resolution
+    cull: Cull
+    depth_test: DepthTest | None
+    polygon_offset: Any
+    alpha_test: Textures | None
+    with_face: bool
+    behind: Int[Array, "*l h w"] | None = None
+    pages: Pages | None = None
+    viewports: Int[Array, "b 2"] | None = None
+    buffer: Resolution | None = None
+
+    def drawn(self) -> Any:
+        """**Raises** `ValueError` as `rasterize` does."""
+        test = self.depth_test or DepthTest()
+        self._check(test)
+        scene = self._scene
+        is_shared = self.pages is None and not is_traced((*scene, self.viewports))
+        return self._apart(scene, test) if is_shared else self._in_trace(scene, test)
+
+    def _check(self, test: DepthTest) -> None:
+        test.check()
+        check_value("the resolution", self.resolution, Size, "pixels")
+        check_value("cull", self.cull, Cull)
+        buffer = self.buffer or self.resolution
+        if not all(n <= size <= MAX_TEXELS for n, size in zip(self.resolution, buffer, strict=True)):
+            raise ValueError(
+                f"the buffer is {buffer}; expected (height, width), at least {self.resolution} and at most "
+                f"{MAX_TEXELS} pixels each"
+            )
+        if self.pages is not None and self.resolution != (self.pages.side, self.pages.side):
+            raise ValueError(
+                f"the resolution is {self.resolution}; expected the side of the pages' layers, {self.pages.side} pixels"
+            )
+
+    @property
+    def _scene(self) -> _Scene:
+        """What all views are drawn of, without derivatives. The search is integer work and single precision whatever
+        the precision of what is interpolated later."""
+        single = lambda leaf: lax.stop_gradient(leaf.astype(jnp.float32)) if eqx.is_inexact_array(leaf) else leaf
+        clip, offset, textures = self.clip, self.polygon_offset, self.alpha_test
+        if isinstance(clip, Tracer):
+            # Outside of `jit`, this gives the values of what is traced for its derivative, as by `jax.jvp`.
+            clip = lax.stop_gradient(clip)
+        clip, faces = padded(clip if clip.dtype == jnp.float32 else clip.astype(jnp.float32), self.faces)
+        if textures is not None and textures.index.shape != faces.shape[:1]:
+            textures = textures.padded(faces.shape[0])
+        offset = None if offset is None else single(as_float(offset))
+        return _Scene(clip, faces, offset, self.behind, jax.tree.map(single, textures))
+
+    def _in_trace(self, scene: _Scene, test: DepthTest) -> Any:
+        """In a trace, a viewport and culling that are known shorten the program."""
+        draw = lambda scene, viewport: _traced(
+            scene, viewport, FACING[self.cull], self.resolution, test, self.with_face, self.pages
+        )
+        if scene.clip.ndim == 2:
+            return draw(scene, self.resolution)
+
+        def view(each: Any) -> Any:
+            clip, behind, viewport = each
+            one = scene._replace(clip=clip, behind=behind)
+            return draw(one, self.resolution if viewport is None else viewport)
+
+        # One view after the other, since each has its own number of triangles to draw.
+        return lax.map(view, (scene.clip, scene.behind, self.viewports))
+
+    def _apart(self, scene: _Scene, test: DepthTest) -> Any:
+        """Draws outside of a trace, so that what is compiled is shared: by all small images, by one view and several,
+        and whatever is culled."""
+        height, width = self.resolution
+        buffer = self.buffer or self.resolution
+        if max(buffer) <= _SHARED_SIDE:
+            buffer = _SHARED_SIDE, _SHARED_SIDE
+        behind = scene.behind
+        if behind is not None and buffer != self.resolution:
+            rest = [(0, 0)] * (behind.ndim - 2) + [(0, buffer[0] - height), (0, buffer[1] - width)]
+            behind = jnp.pad(behind, rest, constant_values=NO_FACE)
+
+        def view(clip: Any, behind: Array | None, viewport: Any) -> Any:
+            # In one array and in NumPy, since to make one on the device takes longer than a small image.
+            numbers = np.array([*viewport, *FACING[self.cull]], np.int32)
+            return _shared(scene._replace(clip=clip, behind=behind), numbers, buffer, test, self.with_face)
+
+        # Nothing here depends on the default precision: programs are shared by both.
+        with jax.enable_x64(False):
+            if scene.clip.ndim == 2:
+                drawn = view(scene.clip, behind, self.resolution)
+                return drawn if buffer == self.resolution else _cut(drawn, height, width)
+            count = len(scene.clip)
+            each = [self.resolution] * count if self.viewports is None else np.asarray(self.viewports)
+            layers = [None] * count if behind is None else _apart(behind)
+            return _together([view(*one) for one in zip(_apart(scene.clip), layers, each, strict=True)], height, width)
 
 
 # Each is one program, where every index would be another.
@@ -210,9 +249,16 @@ def _together(views: list[Fragments | Array], height: int, width: int) -> Any:
 
 
 def _rasterize(
-    clip, faces, viewport, resolution, facing, test, polygon_offset, behind, with_face, pages, textures
+    scene: _Scene,
+    viewport: Any,
+    facing: Any,
+    resolution: Resolution,
+    test: DepthTest,
+    with_face: bool,
+    pages: Pages | None = None,
 ) -> Fragments | Float[Array, "*l h w"]:
     """One view in the lower left part of an image of `resolution`, or in pages."""
+    clip, faces, polygon_offset, behind, textures = scene
     height, width = viewport
 
     def finish(depth: Array, face: Array | None, first: Array | int) -> Fragments | Array:
@@ -240,14 +286,11 @@ def _rasterize(
     return least_depth_and_face(drawing, behind, finish) if with_face else least_depth(drawing, finish)
 
 
-# In a trace, a viewport and culling that are known shorten the program.
 _traced = eqx.filter_jit(_rasterize)
 
 
 # Equinox's takes a tenth of a millisecond longer to call.
 @partial(jax.jit, static_argnames=("buffer", "test", "with_face"))
-def _shared(clip, faces, numbers, buffer, test, polygon_offset, behind, with_face, textures) -> Any:
+def _shared(scene: _Scene, numbers: Array, buffer: Resolution, test: DepthTest, with_face: bool) -> Any:
     height, width, front, back = numbers
-    facing = front > 0, back > 0
-    size = height, width
-    return _rasterize(clip, faces, size, buffer, facing, test, polygon_offset, behind, with_face, None, textures)
+    return _rasterize(scene, (height, width), (front > 0, back > 0), buffer, test, with_face)

@@ -43,47 +43,18 @@ class Sides(NamedTuple):
         corners: Int[Array, "H W"],
     ) -> "Sides":
         """From what pixel centres and the corners of pixels see."""
-        height, width = centres.shape
-        pixel = jnp.minimum(pieces.pixel, height * width - 1)
-        row, column = pixel // width, pixel % width
-        offset = np.array([[0, 0], [-1, -1], [1, -1], [-1, 1], [1, 1]]) / 2
-        own = [centres[row, column]] + [corners[row + j, column + i] for j in (0, 1) for i in (0, 1)]
-        sample = jnp.stack(own)
-        place = jnp.stack([column, row], axis=1) + 0.5 + offset[:, None]
-        from_middle = place - pieces.middle
-        aside = jnp.sum(from_middle * pieces.right, axis=-1)
-
-        across = pieces.right * _CLEAR
-        candidates = take(found.left, pieces.segment).T
-        every = jnp.concatenate([candidates, sample])
-        about = jnp.broadcast_to(pieces.middle, (*every.shape, 2))
-        planes = WindowPlanes.of(every, clip, faces, about, (height, width))
-        of_left, samples = planes.some(slice(2)), planes.some(slice(2, None))
-        # The nearer of two faces to the left.
-        depths = of_left.away(jnp.broadcast_to(-across, (*candidates.shape, 2)))
-        nearer = jnp.argmin(depths, axis=0)[None]
-        left, depth = (jnp.take_along_axis(values, nearer, axis=0)[0] for values in (candidates, of_left.depth))
-        behind = samples.depth
-        steep = jnp.abs(samples.slope_x * across[:, 0] + samples.slope_y * across[:, 1])
-        slack = steep + jnp.abs(jnp.min(depths, axis=0) - depth) + _ROUNDING
-        # A part of the same mesh at about the depth of the line lies beside it, and not behind it.
-        component = lambda face: take(edges.component, jnp.maximum(face, 0))
-        near = jnp.abs(behind - depth) <= slack + adjoining(view, depth, (height, width))
-        beside = (sample >= 0) & (component(sample) == component(left)) & near
-        distance = jnp.sum(from_middle**2, axis=-1)
-
-        def nearest(cost: Float[Array, "5 n"]) -> _Sample:
-            chosen = jnp.argmin(cost, axis=0)[None]
-            pick = lambda values: jnp.take_along_axis(values, chosen, axis=0)[0]
-            return _Sample(pick(sample), pick(beside), pick(behind) >= depth - pick(slack))
-
+        around = _Around.of(pieces, found, view, clip, faces, edges, centres, corners)
+        left = around.left
         # Rather a sample that is farther away than one of the same part of the mesh, or one beyond another piece.
         across_wall = lambda at: jnp.sum(pieces.wall[:, :2] * at, axis=-1) + pieces.wall[:, 2]
-        is_beyond = across_wall(place) * across_wall(pieces.middle) < 0
-        behind_first = distance + jnp.where(beside, 4, 0) + jnp.where(is_beyond, 16, 0)
-        to_right, to_left = (nearest(jnp.where(turn * aside > _CLEAR, behind_first, jnp.inf)) for turn in (1, -1))
+        is_beyond = across_wall(around.place) * across_wall(pieces.middle) < 0
+        behind_first = around.distance + jnp.where(around.is_beside, 4, 0) + jnp.where(is_beyond, 16, 0)
+        to_right, to_left = (
+            around.nearest(jnp.where(turn * around.aside > _CLEAR, behind_first, jnp.inf)) for turn in (1, -1)
+        )
         # At a smooth silhouette, its own face is seen edge-on. One further in has the colour that moves with it.
-        inside = nearest(jnp.where(aside < -_CLEAR, distance + jnp.where(beside, 0, 4), jnp.inf))
+        own_first = around.distance + jnp.where(around.is_beside, 0, 4)
+        inside = around.nearest(jnp.where(around.aside < -_CLEAR, own_first, jnp.inf))
         crease_to = take(found.right, pieces.segment)
         is_crease = crease_to != NO_NEIGHBOUR
         # A mesh's outline may run back for a short way, within the outline of its nearer faces.
@@ -91,30 +62,95 @@ class Sides(NamedTuple):
         right = jnp.where(is_crease, crease_to, jnp.where(is_back, to_left.face, to_right.face))
         in_sight = jnp.where(is_back, to_left.is_behind, to_right.is_behind & (is_crease | ~to_right.is_beside))
         # Within the rasterizer's rounding, what the centre sees decides on which side of the line it lies.
-        centre = sample[0]
-        is_left = jnp.where(is_crease, centre == left, beside[0] ^ is_back)
+        centre = around.face[0]
+        is_left = jnp.where(is_crease, centre == left, around.is_beside[0] ^ is_back)
         is_close = (jnp.abs(pieces.height) < _CLEAR) & (jnp.abs(pieces.beyond) > 0.25)
         is_wrong = is_close & (is_left != (pieces.height > 0)) & (~is_crease | (centre == left) | (centre == right))
         shaded = jnp.where(is_back, to_right.face, jnp.where(inside.is_beside, inside.face, left))
-        exists = pieces.pixel < height * width
+        exists = pieces.pixel < centres.size
         # Where a mesh stands on another, or nearly, one line is both a silhouette and a crossing. It counts once.
         touches = exists & ~is_crease & in_sight
-        touched = jnp.zeros(height * width + 1, bool).at[pieces.pixel].max(touches)[pieces.pixel]
+        touched = jnp.zeros(centres.size + 1, bool).at[pieces.pixel].max(touches)[pieces.pixel]
         in_sight = in_sight & ~(touched & take(found.crosses, pieces.segment))
         return cls(
             left=jnp.where(exists, jnp.where(is_crease, left, shaded), NO_FACE),
             right=jnp.where(exists, right, NO_FACE),
             correction=jnp.where(is_wrong, -jnp.sign(pieces.beyond), 0),
-            in_sight=in_sight & ~pieces.hidden & (~is_crease | nearest(distance).is_behind),
+            in_sight=in_sight & ~pieces.hidden & (~is_crease | around.nearest(around.distance).is_behind),
         )
 
 
-class _Sample(NamedTuple):
-    """For each piece, the nearest place on one side where the face that is seen is known.
+class _Around(NamedTuple):
+    """What is seen around pieces (n,): at the centre of each one's pixel, and at its four corners.
 
-    - `is_beside`: whether that face belongs to the same part of the mesh and adjoins the piece.
+    - `left`: (n,), the nearer of the faces whose edge the piece is.
+    - `place`: pixels; `aside`: how far to the right of the piece; `distance`: squared, from the piece's middle.
+    - `is_beside`: whether the face belongs to the same part of the mesh and adjoins the piece.
     - `is_behind`: whether it does not hide the piece.
     """
+
+    left: Int[Array, " n"]
+    face: Int[Array, "5 n"]
+    place: Float[Array, "5 n 2"]
+    aside: Float[Array, "5 n"]
+    distance: Float[Array, "5 n"]
+    is_beside: Bool[Array, "5 n"]
+    is_behind: Bool[Array, "5 n"]
+
+    @classmethod
+    def of(
+        cls,
+        pieces: Pieces,
+        found: Boundaries,
+        view: View,
+        clip: ClipVertices,
+        faces: Faces,
+        edges: Edges,
+        centres: FaceMap,
+        corners: Int[Array, "H W"],
+    ) -> "_Around":
+        height, width = centres.shape
+        pixel = jnp.minimum(pieces.pixel, height * width - 1)
+        row, column = pixel // width, pixel % width
+        offset = np.array([[0, 0], [-1, -1], [1, -1], [-1, 1], [1, 1]]) / 2
+        own = [centres[row, column]] + [corners[row + j, column + i] for j in (0, 1) for i in (0, 1)]
+        face = jnp.stack(own)
+        place = jnp.stack([column, row], axis=1) + 0.5 + offset[:, None]
+        from_middle = place - pieces.middle
+        across = pieces.right * _CLEAR
+        candidates = take(found.left, pieces.segment).T
+        every = jnp.concatenate([candidates, face])
+        about = jnp.broadcast_to(pieces.middle, (*every.shape, 2))
+        planes = WindowPlanes.of(every, clip, faces, about, (height, width))
+        of_left, samples = planes.some(slice(2)), planes.some(slice(2, None))
+        # The nearer of two faces to the left.
+        depths = of_left.away(jnp.broadcast_to(-across, (*candidates.shape, 2)))
+        nearer = jnp.argmin(depths, axis=0)[None]
+        left, depth = (jnp.take_along_axis(values, nearer, axis=0)[0] for values in (candidates, of_left.depth))
+        steep = jnp.abs(samples.slope_x * across[:, 0] + samples.slope_y * across[:, 1])
+        slack = steep + jnp.abs(jnp.min(depths, axis=0) - depth) + _ROUNDING
+        # A part of the same mesh at about the depth of the line lies beside it, and not behind it.
+        component = lambda face: take(edges.component, jnp.maximum(face, 0))
+        is_near = jnp.abs(samples.depth - depth) <= slack + adjoining(view, depth, (height, width))
+        return cls(
+            left=left,
+            face=face,
+            place=place,
+            aside=jnp.sum(from_middle * pieces.right, axis=-1),
+            distance=jnp.sum(from_middle**2, axis=-1),
+            is_beside=(face >= 0) & (component(face) == component(left)) & is_near,
+            is_behind=samples.depth >= depth - slack,
+        )
+
+    def nearest(self, cost: Float[Array, "5 n"]) -> "_Sample":
+        """Of each piece, the sample of the least cost."""
+        chosen = jnp.argmin(cost, axis=0)[None]
+        pick = lambda values: jnp.take_along_axis(values, chosen, axis=0)[0]
+        return _Sample(pick(self.face), pick(self.is_beside), pick(self.is_behind))
+
+
+class _Sample(NamedTuple):
+    """For each piece, the nearest place on one side where the face that is seen is known; fields as in `_Around`."""
 
     face: Int[Array, " n"]
     is_beside: Bool[Array, " n"]
