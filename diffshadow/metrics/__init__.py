@@ -1,15 +1,11 @@
 """Error metrics of a visibility image, or a picture, against its reference."""
 
 from ._aliasing import AliasingFigures, measure_aliasing
-from ._differences import mae, psnr, rmse
-from ._false_rates import false_light_rate, false_shadow_rate
+from ._errors import ShadowErrors, false_light_rate, false_shadow_rate, mae, measure_errors, psnr, rmse, ssim
 from ._flicker import flicker
 from ._flip import flip
-from ._intersections import count_self_intersections
 from ._penumbra import penumbra_width
-from ._shapes import chamfer_distance, intersection_over_union
-from ._ssim import ssim
-from ._summary import ShadowErrors, measure_errors
+from ._shapes import chamfer_distance, count_self_intersections, intersection_over_union
 
 __all__ = [
     "AliasingFigures",

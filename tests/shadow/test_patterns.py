@@ -19,9 +19,7 @@ from diffshadow.shadow import (
     uniform,
     vogel,
 )
-from diffshadow.shadow.patterns import EARLY_SAMPLES, interleaved_gradient_noise
-from diffshadow.shadow.patterns._disk import to_disk
-from diffshadow.shadow.patterns._sobol import _owen_scrambled
+from diffshadow.shadow.patterns import EARLY_SAMPLES, _owen_scrambled, interleaved_gradient_noise, to_disk
 
 MAKERS = {f.__name__: f for f in (uniform, stratified, poisson_disk, vogel, sobol, halton)}
 COUNTS = (4, 8, 16, 32, 64, 128, 256, 512, 1024)
