@@ -11,8 +11,8 @@ from PIL import Image, ImageDraw, ImageFont
 from .. import io, metrics, study
 from .._checks import check_value
 from ..config import CONFIG_FILE, Config, dump_resolved, load_config, numbers_of, parse_config, with_number
+from ._drawing_cache import DrawingCache, Frame, Picture
 from ._pictures import OF_TRUTH, as_picture, picture_of
-from ._stages import Frame, Picture, Stages
 from ._state import Look, State, View
 from ._subject import Subject, at_most
 
@@ -74,7 +74,7 @@ def animate(
     `FileError` if the file cannot be written.
     """
     check_value("--view", view, View)
-    text, stages = dump_resolved(config), Stages()
+    text, cache = dump_resolved(config), DrawingCache()
     parsed = lambda at: parse_config(text, _settings(changes, at), source="the animation")
     first, last = parsed(0.0), parsed(1.0)
     # Numbers in between need no check.
@@ -87,7 +87,7 @@ def animate(
     size = at_most(config.scene.camera.resolution, pixels)
     pictures = []
     for done, each in enumerate(configs):
-        frame = Frame(stages, subject, Look(state=State(), view=view), size, each)
+        frame = Frame(cache, subject, Look(state=State(), view=view), size, each)
         truth = None
         if view in OF_TRUTH:
             truth = study.trace(frame.scene(frame.light), subject.how, lambda _: None)
@@ -124,10 +124,10 @@ def animate_run(folder: Path, output: Path | None = None, *, pixels: int = PIXEL
     if missing := [name for name in names if name not in subject.sliders]:
         what = f"holds a fit of {missing[0]}, which no configuration states"
         raise io.FileError(f"{folder} {what}; expected numbers of lights or of the technique; give another fit")
-    light, stages, pictures = run.lights[0], Stages(), []
+    light, cache, pictures = run.lights[0], DrawingCache(), []
     for number, values in _steps(run):
         state = State(numbers=dict(zip(names, values, strict=True)))
-        frame = Frame(stages, subject, Look(state=state), light.reference.shape)
+        frame = Frame(cache, subject, Look(state=state), light.reference.shape)
         image = np.asarray(frame.visibility(0))
         wrong = np.where(light.mask, image - light.reference, 0)
         both = np.concatenate([frame.shaded(), as_picture(study.difference_colours(wrong, light.mask))], axis=1)

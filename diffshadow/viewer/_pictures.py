@@ -10,7 +10,7 @@ from .. import geometry, metrics, shadow
 from .._types import HostArray
 from ..reference import Reference
 from ..study import difference_colours, marked, on_surface, tinted
-from ._stages import Frame, Picture
+from ._drawing_cache import Frame, Picture
 from ._state import View
 
 # The longer side of a picture of a map, in pixels, and how much of white the far end of its depths keeps.

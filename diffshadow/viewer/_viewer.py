@@ -13,9 +13,9 @@ from rich.console import Console
 
 from .. import study
 from ..config import Config, changed, dump_resolved, parse_config, printable
+from ._drawing_cache import DrawingCache, Frame, Picture, Recent
 from ._fits import Fit
 from ._pictures import figures_of, picture_of, views_of
-from ._stages import Frame, Picture, Stage, Stages
 from ._state import Look, State
 from ._subject import Subject, value_at
 from ._trace import Tracer
@@ -48,9 +48,9 @@ class Viewer:
         fitted: Callable[[dict[str, Any]], None] = lambda news: None,
     ):
         self.config, self.name = config, name
-        self.stages = Stages()
+        self.cache = DrawingCache()
         self.tracer, self.fit = Tracer(traced), Fit(fitted)
-        self._subjects = Stage()
+        self._subjects = Recent()
         self.subject(State())
 
     @property
@@ -109,7 +109,7 @@ class Viewer:
         subject = self.subject(look.state)
         height, width = subject.full_size
         size = (height, width) if full else (max(height // 2, 1), max(width // 2, 1))
-        return Frame(self.stages, subject, look, size)
+        return Frame(self.cache, subject, look, size)
 
     def show(self, look: Look, *, at_rest: bool) -> Shown:
         """A picture of `look`. While it moves, it is of half the size if surface or map are to be drawn."""
@@ -200,7 +200,7 @@ class Viewer:
         own = self.subject(look.state.model_copy(update={"structure": scene}))
         numbers = {name: value for name, value in look.state.numbers.items() if name.startswith(("scene.", "shading."))}
         state = look.state.model_copy(update={"structure": scene, "numbers": numbers})
-        before = Frame(self.stages, own, look.model_copy(update={"state": state}), frame.size)
+        before = Frame(self.cache, own, look.model_copy(update={"state": state}), frame.size)
         truth = self.tracer.reference(before.truth_key)
         picture = picture_of(before, look.view, truth)
         same = picture is not None and picture.shape == like.shape

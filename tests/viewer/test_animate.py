@@ -15,7 +15,7 @@ from diffshadow.metrics import flicker
 from diffshadow.reference import trace_visibility
 from diffshadow.study import run_fit, run_render
 from diffshadow.viewer import Change, animate, animate_run
-from diffshadow.viewer._stages import Frame, Stages
+from diffshadow.viewer._drawing_cache import DrawingCache, Frame
 from diffshadow.viewer._state import Look, State
 from diffshadow.viewer._subject import Subject
 
@@ -37,7 +37,7 @@ def test_frames_are_those_of_the_settings_between_and_the_same_each_time(tmp_pat
     drawn = frames_of(path)
     for frame, (azimuth, bias) in zip(drawn, ((-60, 1), (-30, 1.5), (0, 2)), strict=True):
         at = parse_config(TINY, [f"scene.light.azimuth={azimuth}", f"bias.constant={bias}"])
-        alone = Frame(Stages(), Subject(at), Look(state=State()), (32, 48)).shaded()
+        alone = Frame(DrawingCache(), Subject(at), Look(state=State()), (32, 48)).shaded()
         # Animated PNG is lossless.
         assert abs(frame - alone).max() <= 1
     animate(config, [AZIMUTH, BIAS], tmp_path / "again.png", frames=3)
@@ -57,7 +57,7 @@ def test_an_animation_against_rays_says_how_much_the_shadow_shimmers(tmp_path):
     measured = []
     for azimuth in (-60, -59):
         at = parse_config(TINY, [f"scene.light.azimuth={azimuth}"])
-        image = Frame(Stages(), Subject(at), Look(state=State()), (32, 48)).visibility(0)
+        image = Frame(DrawingCache(), Subject(at), Look(state=State()), (32, 48)).visibility(0)
         truth = trace_visibility(build_scene(at), at.reference.samples, at.reference.sampler, at.seed)
         measured.append((np.asarray(image), truth.visibility, truth.mask))
     # The map covers all that the camera sees, which is less than the picture.

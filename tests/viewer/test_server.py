@@ -195,9 +195,9 @@ def test_a_page_at_rest_gets_each_reference_once_and_then_nothing(monkeypatch, t
             await page.send(shown=about["number"])
         assert sorted(set(rays)) == [0, 4, 16]
         assert len(rays) <= 5
-        calls = server.viewer.stages.visibility.calls
+        calls = server.viewer.cache.visibility.calls
         assert await page.is_silent(0.8)
-        assert server.viewer.stages.visibility.calls == calls
+        assert server.viewer.cache.visibility.calls == calls
         assert asked == [4, 16]
 
     talking(script)

@@ -36,8 +36,8 @@ def look(view="shaded", **state):
 
 
 def calls(viewer):
-    stages = viewer.stages
-    return {name: getattr(stages, name).calls for name in ("meshes", "surface", "state", "visibility")}
+    cache = viewer.cache
+    return {name: getattr(cache, name).calls for name in ("meshes", "surface", "state", "visibility")}
 
 
 def added(viewer, *looks):

@@ -30,8 +30,8 @@ Picture = UInt8[HostArray, "h w 3"]
 """sRGB, top row first."""
 
 
-class Stage:
-    """A stage of drawing, which keeps its last `most` results by what they depend on. `calls` counts the others."""
+class Recent:
+    """The last `most` results of a stage by what they depend on. `calls` counts how often one was made."""
 
     def __init__(self, most: int = 4):
         self.most, self.calls = most, 0
@@ -57,13 +57,13 @@ class Stage:
         return key in self._kept
 
 
-class Stages:
-    """All stages, which pages and subjects share."""
+class DrawingCache:
+    """The last results of all stages, which pages and subjects share."""
 
     def __init__(self):
-        self.meshes, self.camera, self.lights, self.shading = Stage(), Stage(8), Stage(8), Stage()
-        self.surface, self.state, self.visibility, self.covered = Stage(), Stage(), Stage(8), Stage()
-        self.antialiased = Stage()
+        self.meshes, self.camera, self.lights, self.shading = Recent(), Recent(8), Recent(8), Recent()
+        self.surface, self.state, self.visibility, self.covered = Recent(), Recent(), Recent(8), Recent()
+        self.antialiased = Recent()
 
 
 class Frame:
@@ -75,15 +75,16 @@ class Frame:
     """
 
     def __init__(
-        self, stages: Stages, subject: Subject, look: Look, size: tuple[int, int], config: Config | None = None
+        self, cache: DrawingCache, subject: Subject, look: Look, size: tuple[int, int], config: Config | None = None
     ):
-        self.stages, self.subject, self.look, self.size = stages, subject, look, size
+        self.cache, self.subject, self.look, self.size = cache, subject, look, size
         self.config = subject.at(look.state) if config is None else config
         self._meshes = repr(self.config.scene.meshes)
+        # Sections of users' classes may hold values that have no hash.
         self._camera = repr(self.config.scene.camera)
         self._lights = [repr(light) for light in self.config.scene.each_light.values()]
         self.light = min(look.light, len(self._lights) - 1)
-        self.staged: StagedMeshes = stages.meshes(self._meshes, lambda: build_meshes(self.config))
+        self.staged: StagedMeshes = cache.meshes(self._meshes, lambda: build_meshes(self.config))
         self.numbers = subject.numbers_of(self.config)
 
     @cached_property
@@ -99,13 +100,13 @@ class Frame:
     @property
     def lights(self) -> list[geometry.AbstractLight]:
         """All lights."""
-        return self.stages.lights((self._meshes, *self._lights), lambda: build_lights(self.config, self.staged))
+        return self.cache.lights((self._meshes, *self._lights), lambda: build_lights(self.config, self.staged))
 
     @property
     def shading(self) -> Any:
         """How pictures are shaded."""
         key = repr(self.config.shading), len(self._lights)
-        return self.stages.shading(key, lambda: build_shading(self.config))
+        return self.cache.shading(key, lambda: build_shading(self.config))
 
     def scene(self, light: int) -> geometry.Scene:
         """The scene with one light."""
@@ -119,8 +120,8 @@ class Frame:
     @property
     def moves(self) -> bool:
         """Whether the surface or the map of a light is still to be drawn: then a smaller picture comes first."""
-        states = (self.state_key(light) in self.stages.state for light in range(len(self._lights)))
-        return self._surface_key(self.size) not in self.stages.surface or not all(states)
+        states = (self.state_key(light) in self.cache.state for light in range(len(self._lights)))
+        return self._surface_key(self.size) not in self.cache.surface or not all(states)
 
     def state_key(self, light: int) -> Hashable:
         """What the state of a light depends on."""
@@ -130,7 +131,7 @@ class Frame:
 
     def state(self, light: int) -> Any:
         """What the technique draws for a light, such as its map."""
-        return self.stages.state(self.state_key(light), lambda: self._prepared(light))
+        return self.cache.state(self.state_key(light), lambda: self._prepared(light))
 
     def _prepared(self, light: int) -> Any:
         """A new state. In a small picture, a map is the same as in a large one: else its acne would be another."""
@@ -145,13 +146,13 @@ class Frame:
         numbers = tuple(self.numbers.values())
         key = self.subject.key, numbers, self.state_key(light), self._surface_key(self.size)
         draw = lambda: self.technique.visibility(self.state(light), self.surface)
-        return self.stages.visibility(key, draw)
+        return self.cache.visibility(key, draw)
 
     def covered(self, light: int) -> Bool[HostArray, "h w"]:
         """(h, w), the pixels that count for a light."""
         key = self.subject.key, self.state_key(light), self._surface_key(self.size)
         draw = lambda: np.asarray(self.technique.covered(self.state(light), self.surface))
-        return self.stages.covered(key, draw)
+        return self.cache.covered(key, draw)
 
     @property
     def truth_key(self) -> Hashable:
@@ -167,7 +168,7 @@ class Frame:
     @property
     def _antialiased(self) -> raster.AntialiasedSurface:
         draw = lambda: raster.draw_antialiased(geometry.merge(self.staged.meshes), self.camera)
-        return self.stages.antialiased(self._surface_key(self.size), draw)
+        return self.cache.antialiased(self._surface_key(self.size), draw)
 
     def from_light(self) -> Picture:
         """What the shown light sees, shaded with its shadow: all that is dark there is false shadow."""
@@ -178,7 +179,7 @@ class Frame:
         wider = width / height * clip[0, 0] / clip[1, 1]
         clip[0], clip[1] = clip[0] / max(wider, 1.0), clip[1] * min(wider, 1.0)
         camera = geometry.MatrixCamera(view.world_to_eye, clip, self.size, view.is_perspective)
-        surface = self.stages.surface((self._meshes, key, self.size), lambda: self._drawn_by(camera))
+        surface = self.cache.surface((self._meshes, key, self.size), lambda: self._drawn_by(camera))
         visibility = self.technique.visibility(self.state(self.light), surface)
         light, shading = [self.lights[self.light]], self.shading.of_light(self.light)
         return np.asarray(_shaded(shading, surface, [visibility], light, camera))
@@ -186,13 +187,13 @@ class Frame:
     def _camera_of(self, size: tuple[int, int]) -> geometry.AbstractCamera:
         scene = changed(self.config.scene, camera=changed(self.config.scene.camera, resolution=size))
         make = lambda: build_camera(changed(self.config, scene=scene), self.staged)
-        return self.stages.camera(self._surface_key(size), make)
+        return self.cache.camera(self._surface_key(size), make)
 
     def _surface_key(self, size: tuple[int, int]) -> Hashable:
         return self._meshes, self._camera, size
 
     def _surface_of(self, size: tuple[int, int]) -> raster.Surface:
-        return self.stages.surface(self._surface_key(size), lambda: self._drawn_by(self._camera_of(size)))
+        return self.cache.surface(self._surface_key(size), lambda: self._drawn_by(self._camera_of(size)))
 
     def _drawn_by(self, camera: geometry.AbstractCamera) -> raster.Surface:
         # With the technique's buffer, it shares its program with the map.
