@@ -10,7 +10,6 @@ import pytest
 from scenes import Programs, Waves, covered, floor_and_card, lamp, problem, shadows, sun, technique
 from scipy.optimize import minimize_scalar
 
-from diffshadow._arithmetic import in_float64
 from diffshadow.fit import (
     Anneal,
     Loss,
@@ -24,8 +23,7 @@ from diffshadow.fit import (
     with_values,
 )
 from diffshadow.fit._judge import Judge
-from diffshadow.fit._solve import _weights, _with_slopes
-from diffshadow.fit.problems import Joint, products, squares
+from diffshadow.fit.problems import Joint, squares
 from diffshadow.fit.problems._stack import Stack, of_one_structure
 from diffshadow.shadow import RandomDisk, draw_shadow_map, stratified
 from diffshadow.shadow.kernels._padded_map import pad
@@ -202,30 +200,6 @@ def test_differences_are_weighted_by_their_sign():
 def test_impossible_losses_are_refused(settings, message):
     with pytest.raises(ValueError, match=message):
         Loss(**settings)
-
-
-@eqx.filter_jit
-def losses_and_gradients(joint, parameters, fraction):
-    """Each loss, and its gradient as a solver finds it: that of squares with fixed weights."""
-    images, slopes, _ = _with_slopes(joint, parameters, fraction)
-    each = [products(images, tuple(stack[i] for stack in slopes)) for i in range(len(parameters.paths))]
-    losses = [loss.weights(squares(images), joint.shares) @ squares(images) for loss in LOSSES.values()]
-    roots = [_weights(joint.with_loss(loss), images, slopes)[0] for loss in LOSSES.values()]
-    return jnp.stack(losses), jnp.stack([jnp.stack([2 * root**2 @ along for along in each]) for root in roots])
-
-
-def test_gradients_of_the_losses_of_views_are_those_of_finite_differences(views):
-    with jax.enable_x64(True):
-        problems = [eqx.tree_at(lambda p: p.technique, in_float64(each), in_float64(waves())) for each in views]
-        joint = Joint.of(problems, Loss(false_shadow=3.0, false_light=0.5)).stacked()
-        parameters = in_float64(Parameters.of([FIRST, SECOND]))
-        at = lambda fraction: tuple(map(np.asarray, losses_and_gradients(joint, parameters, fraction)))
-        fraction, steps = np.array([0.5, 0.6]), 1e-6 * np.eye(2)
-        _, gradients = at(fraction)
-        expected = np.array([(at(fraction + d)[0] - at(fraction - d)[0]) / 2e-6 for d in steps]).T
-    assert gradients.shape == (len(LOSSES), 2)
-    assert gradients == pytest.approx(expected, rel=1e-4)
-    assert np.abs(gradients).min() > 1e-3
 
 
 def test_a_stack_has_the_images_errors_and_shares_of_its_problems(views):

@@ -18,7 +18,6 @@ from scenes import (
     random_lookups,
     random_map,
     shadows,
-    slopes_of_loss,
     technique,
 )
 
@@ -38,7 +37,6 @@ from diffshadow.shadow import (
     Bilinear,
     ConstantBias,
     HardCompare,
-    Lookup,
     PercentageCloserSoft,
     RandomDisk,
     ReceiverPlane,
@@ -269,39 +267,3 @@ def test_shadow_of_a_tall_pole_is_nearer_to_rays_than_with_any_one_radius():
     # The best of them lies between the least and the greatest, so that no other would be better.
     assert min(fixed, key=fixed.get) not in (0, 12)
     assert soft < 0.6 * min(fixed.values())
-
-
-@pytest.mark.exhaustive
-def test_gradient_of_the_loss_matches_central_differences():
-    names = ("bias.constant", "bias.slope", "bias.normal_offset", "filter.light_size", "compare.width")
-    with jax.enable_x64(True):
-        size = 1.0
-        kernel = PercentageCloserSoft(size, stratified((2, 2), 4), stratified((2, 3), 4), 0.0, 8.0)
-        known = problem(technique(kernel, compare=SoftCompare(2.0)), "spot")
-        at = (0.9, 0.6, 0.4, size, 2.0)
-        slopes, forward, backward = slopes_of_loss(known, names, at, np.full(len(at), 1e-6), reverse=True)
-    assert (np.abs(slopes) > 1e-6).all()
-    np.testing.assert_allclose(forward, slopes, rtol=0.01)
-    np.testing.assert_allclose(forward, backward, rtol=1e-8)
-
-
-@eqx.filter_jit
-@eqx.filter_grad
-def slopes_of_sum(arguments):
-    shadow_map, lookup, size, width = arguments
-    kernel = PercentageCloserSoft(size, stratified((2, 2), 4), stratified((2, 2), 4), 0.0, 6.0)
-    return jnp.sum(kernel(shadow_map, lookup, SoftCompare(width)))
-
-
-@pytest.mark.exhaustive
-def test_no_gradient_is_nan_or_infinite():
-    rng = np.random.default_rng(8)
-    lookup = random_lookups(rng)
-    # Before the light, behind it, at the far plane and beyond.
-    depth = lookup.depth.at[0].set(-1.0).at[1].set(0.0).at[2].set(1.0).at[3].set(2.0)
-    for empty in (0.2, 1.0):
-        shadow_map = ShadowMap(random_map(rng, empty=empty).depth, LIGHTS["spot"])
-        for scale, width, size in ((1.0, 0.7, 5.0), (0.0, 1e-3, 0.0), (1e9, 100.0, 0.0), (1e30, 1.0, 40.0)):
-            moved = Lookup(jnp.round(lookup.texel) * scale, depth, lookup.depth_per_texel, lookup.inside)
-            found = slopes_of_sum((shadow_map, moved, jnp.float32(size), jnp.float32(width)))
-            assert all(np.isfinite(np.asarray(leaf)).all() for leaf in jax.tree.leaves(found))
