@@ -83,26 +83,6 @@ def test_soups_of_every_kind_see_the_nearest_face(seed):
         assert (depth[face < 0] == 1).all()
 
 
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("cull", ["back", "front"])
-@settings(deadline=None, max_examples=4)
-@given(seed=seeds)
-def test_culled_soups_see_the_nearest_face_that_is_left(cull, seed):
-    for k in range(SOUPS_AN_EXAMPLE):
-        clip, _ = soup(np.random.default_rng([seed, k]), COUNT, RESOLUTION)
-        exact = rasterize_exact(clip, FACES, RESOLUTION, cull)
-        assert_explained(draw_culled(clip, cull=cull)[0], exact, f"soup {k} of {seed}")
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("resolution", [(8, 8), (17, 5), (96, 64)])
-def test_soups_at_other_resolutions_see_the_nearest_face(resolution):
-    for k in range(40):
-        clip, _ = soup(np.random.default_rng([7, k]), COUNT, resolution)
-        exact = rasterize_exact(clip, FACES, resolution)
-        assert_explained(draw(clip, resolution=resolution)[0], exact, f"soup {k}")
-
-
 def test_rounding_decides_few_pixels_of_soups():
     covered = different = 0
     for k in range(100):
@@ -341,9 +321,6 @@ def test_meshes_and_small_images_of_like_size_share_a_program():
             assert (face >= 0).all()
     # None if another test has drawn such an image before.
     assert sum("_shared" in name for name in compiled) <= 1
-
-
-ONE = np.array([[0, 1, 2]])
 
 
 def window_triangles(*sides):

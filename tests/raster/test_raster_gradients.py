@@ -279,29 +279,3 @@ def test_the_surface_of_a_plane_lies_on_it_and_faces_the_camera():
         row, column = np.nonzero(seen)
         window = (clip[seen][:, :2] / clip[seen][:, 3:] * 0.5 + 0.5) * [width, height]
         np.testing.assert_allclose(window, np.stack([column, row], axis=-1) + 0.5, atol=0.01)
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("camera_type", [PinholeCamera, OrthographicCamera])
-def test_the_surface_of_a_sphere_lies_on_it_and_faces_the_camera(camera_type):
-    radius = 0.5
-    eye = np.array([1.0, 1.2, 1.4])
-    centre = np.array([0, radius, 0])
-    view = {"height": 1.2} if camera_type is OrthographicCamera else {"fov_y": 35.0}
-    camera = camera_type(eye, centre, near=0.2, far=6.0, resolution=RESOLUTION, **view)
-    surface = draw_surface(library_mesh("sphere", radius=radius, subdivisions=3), camera)
-    seen = np.asarray(surface.mask)
-    np.testing.assert_array_equal(seen, np.asarray(surface.face) >= 0)
-    assert seen.sum() > 150
-    outwards = to_numpy(surface.position)[seen] - centre
-    distance = np.linalg.norm(outwards, axis=-1)
-    # 1280 facets lie below the sphere by less than 0.9 % of its radius.
-    assert ((distance < radius * (1 + 1e-5)) & (distance > radius * 0.991)).all()
-    unit = outwards / distance[:, None]
-    for normal, cosine in ((surface.normal, 0.992), (surface.shading_normal, 0.9999)):
-        normal = to_numpy(normal)[seen]
-        np.testing.assert_allclose(np.linalg.norm(normal, axis=-1), 1, atol=1e-5)
-        assert (np.sum(normal * unit, axis=-1) > cosine).all()
-    towards = eye - to_numpy(surface.position)[seen] if camera_type is PinholeCamera else eye - centre
-    assert (np.sum(to_numpy(surface.normal)[seen] * towards, axis=-1) >= 0).all()
-    np.testing.assert_allclose(np.asarray(surface.albedo)[seen], 0.8, rtol=1e-6)

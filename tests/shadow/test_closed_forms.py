@@ -34,7 +34,6 @@ from diffshadow.shadow import (
     PercentageCloser,
     RandomDisk,
     ReceiverPlane,
-    ShadowMap,
     ShadowMapping,
     draw_shadow_map,
     receiver,
@@ -167,30 +166,6 @@ def test_receiver_plane_leaves_no_acne_on_a_plane_under_any_kernel(light, angle,
     for radius in (0.7, 3.0, 16.0):
         assert not np.asarray(acne_of_filters(USUAL[light], shadow_map, surface, jnp.float32(radius))).any()
     assert unlit(Bias(), shadow_map, surface) > 0.3 * seen or angle < 20
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("light", OVERHEAD)
-def test_receiver_plane_leaves_no_acne_under_the_other_kernels(light):
-    others = tuple(name for name in KERNELS if name not in USUAL[light])
-    for angle, azimuth in PLANES:
-        shadow_map, surface = lit_plane(angle, azimuth, light)
-        for radius in (0.7, 3.0, 16.0):
-            assert not np.asarray(acne_of_filters(others, shadow_map, surface, jnp.float32(radius))).any()
-
-
-@pytest.mark.parametrize(
-    ("light", "depth_format", "deepening"),
-    [pytest.param("directional", "unorm24", None, marks=pytest.mark.exhaustive), ("spot", "unorm16", 0.0)],
-)
-def test_receiver_plane_knows_how_maps_round(light, depth_format, deepening):
-    wide = ShadowMapping(RandomDisk(16.0, SETS, lookup="nearest"), ReceiverPlane(deepening=deepening))
-    steps = {"unorm24": 2**24 - 1, "unorm16": 2**16 - 1}[depth_format]
-    for angle, azimuth in ((0, 0), (60, 160), (85, 30)):
-        exact, surface = lit_plane(angle, azimuth, light)
-        depth = np.round(np.asarray(exact.depth, np.float64) * steps) / steps
-        shadow_map = ShadowMap(jnp.asarray(depth, jnp.float32), exact.light, depth_format)
-        assert np.asarray(shadows(wide, shadow_map, surface)).min() == 1
 
 
 @pytest.mark.exhaustive

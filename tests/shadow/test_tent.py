@@ -103,39 +103,9 @@ def test_tent_weighs_each_texel_by_its_integral(radius, rng):
     assert np.ptp(found) > 0.1
 
 
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("compare", BOTH[::-1])
-@pytest.mark.parametrize("radius", [0.0, 0.3, 1.0, 1.7, 3.0])
-def test_tent_does_not_depend_on_the_largest_radius(radius, compare, rng):
-    shadow_map, lookup = random_map(rng, MAP), random_lookups(rng, SHAPE, MAP)
-    tight = apply(Tent(radius), shadow_map, lookup, compare)
-    np.testing.assert_allclose(apply(Tent(radius, REACH), shadow_map, lookup, compare), tight, atol=3e-6)
-
-
 def test_tent_of_radius_zero_is_the_nearest_tap(rng):
     shadow_map, lookup = random_map(rng, MAP), random_lookups(rng, SHAPE, MAP)
     texel = np.asarray(lookup.texel)
     off_border = (np.abs(texel - np.round(texel)) > 2e-3).all(axis=-1)
     found, expected = (np.asarray(apply(f, shadow_map, lookup, HARD)) for f in (Tent(0.0, REACH), Nearest()))
     np.testing.assert_allclose(found[off_border], expected[off_border], atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("kernel", "compare"),
-    [
-        (Tent(3.4, 4.0), SOFT),
-        (Castano(5), HARD),
-        *(
-            pytest.param(Castano(size), compare, marks=pytest.mark.exhaustive)
-            for size, compare in ((3, HARD), (3, SOFT), (5, SOFT), (7, HARD), (7, SOFT))
-        ),
-    ],
-)
-def test_constant_maps_give_the_compare_itself_even_far_away(kernel, compare, rng):
-    x, y, depth = rng.uniform(4.5, 11.5, SHAPE), rng.uniform(4.5, 11.5, SHAPE), rng.uniform(0.4, 0.6, SHAPE)
-    lookup, shadow_map = lookups_at(x, y, depth), map_of(np.full(MAP, 0.5))
-    # The compare of a depth of 0.5: a logistic curve two texels wide, each a depth of 0.05.
-    expected = depth <= 0.5 if compare == HARD else 1 / (1 + np.exp(-(0.5 - depth) / 0.05 / 2))
-    np.testing.assert_allclose(apply(kernel, shadow_map, lookup, compare), expected, atol=3e-6)
-    far = lookups_at(x * 1e6, y * 1e6, depth)
-    np.testing.assert_allclose(apply(kernel, shadow_map, far, compare), 1, atol=3e-5)

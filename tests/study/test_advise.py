@@ -2,13 +2,8 @@
 
 import io as text_io
 import json
-import os
 import re
 import shlex
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import jax
@@ -18,7 +13,6 @@ from rich.console import Console
 from scenes import staying_in
 
 from diffshadow import study
-from diffshadow.cli import main
 from diffshadow.config import ConfigError, build_technique, load_advice, load_config, parse_config, with_fitted
 from diffshadow.io import write_visibility
 from diffshadow.study.advice import _advise as module
@@ -33,7 +27,6 @@ from diffshadow.study.runs._views import draw_views
 
 pytestmark = pytest.mark.usefixtures("tiny_figures")
 
-ROOT = Path(__file__).parents[2]
 
 BASE = """
 scene:
@@ -219,13 +212,6 @@ def test_sweeps_and_views_with_maps_of_their_own_are_refused():
         advice_of(None, "sweep={repeats: 2}")
     with pytest.raises(ConfigError, match=r"fit\.views: changes shadow_map\.resolution.*advise\.resolutions"):
         advice_of(None, "fit.views={grid: {shadow_map.resolution: [[8, 8], [16, 16]]}}")
-
-
-def test_command_says_one_line_and_no_traceback(capsys):
-    with pytest.raises(SystemExit) as exit:
-        main(["advise", "a.yaml", "advise.filters=[]"])
-    assert exit.value.code == 2
-    assert "advise.filters: is an empty list" in capsys.readouterr().err
 
 
 def test_fitted_values_are_where_the_next_fit_starts_and_within_their_bounds():
@@ -522,39 +508,12 @@ def test_folder_has_ranking_verdict_page_and_recommended_configuration(finished)
     assert "the recommended configuration is in recommended.yaml" in said
 
 
-@pytest.mark.exhaustive
-def test_recommended_configuration_renders_with_the_error_that_it_was_ranked_by(finished):
-    _, folder, _ = finished
-    stored = result_of(folder)["advice"]
-    config = load_config(folder / "recommended.yaml", ["output=runs"], fitting=True)
-    assert config.name == "a-recommended"
-    rendered = study.run_render(config, console=Console(quiet=True))
-    chosen = next(each for each in stored["candidates"] if each["id"] == stored["recommended"])
-    assert result_of(rendered)["metrics"]["errors"]["rmse"] == pytest.approx(chosen["rmse"], abs=2e-5)
-    assert chosen["rmse"] == stored["candidates"][0]["rmse"]
-
-
 def test_page_is_written_again_from_the_files_alone(finished):
     _, folder, _ = finished
     before = (folder / "report.html").read_text()
     (folder / "report.html").unlink()
     assert study.report(folder, form="svg").read_text() == before
     assert (folder / "front.svg").is_file()
-
-
-def test_damaged_and_incomplete_folders_are_reported(finished, tmp_path):
-    from diffshadow.io import FileError
-
-    _, folder, _ = finished
-    result = result_of(folder)
-    for change, said in (
-        ({"advice": {**result["advice"], "recommended": "x"}}, "advice.recommended|recommended: is x"),
-        ({"advice": {**result["advice"], "candidates": []}}, "advice.candidates"),
-        ({"advice": None}, "incomplete recommendation|expected"),
-    ):
-        (tmp_path / "result.json").write_text(json.dumps({**result, **change}))
-        with pytest.raises(FileError, match=said):
-            study.report(tmp_path)
 
 
 def test_advice_that_is_started_again_fits_and_times_nothing_twice(finished, monkeypatch):
@@ -634,32 +593,6 @@ def quick(monkeypatch):
 
 
 @pytest.mark.exhaustive
-def test_bias_is_no_worse_than_its_special_cases(quick, monkeypatch):
-    """Whatever its own fit found: one of constant and slope has the better constant, and not that without a slope."""
-    from diffshadow.study.sweeps import _work as work
-
-    errors = {("bias.constant",): 0.1, ("bias.slope",): 0.3, ("bias.constant", "bias.slope"): 0.2}
-
-    def measure(config, batch, stages):
-        names = tuple(sorted(config.fit.parameters))
-        alone = config.model_copy(update={"fit": config.fit.model_copy(update={"parameters": {names[0]: None}})})
-        found = {f"fitted.{name}": 1.5 for name in names}
-        return {**quick(alone, batch, stages), **found, "after.rmse": errors[names], "after.mae": errors[names] / 2}
-
-    monkeypatch.setitem(work._MEASURES, "fit", measure)
-    both = "{label: both, bias: {constant: 1, slope: LEAST}, parameters: {bias.constant: {lower: 0, upper: 8}, "
-    both += "bias.slope: {lower: LEAST, upper: 4}}}"
-    for least, expected in ((0, 0.1), (0.5, 0.2)):
-        section = ADVISE.replace("  filters:", f"    - {both.replace('LEAST', str(least))}\n  filters:")
-        Path("b.yaml").write_text(BASE + section)
-        folder, _ = run(load_advice(Path("b.yaml"), [f"output=of{least}"]))
-        candidates = {each["bias"]: each for each in result_of(folder)["advice"]["candidates"]}
-        assert candidates["both"]["rmse"] == expected
-        assert candidates["both"]["values"] == {"bias.constant": 1.5, "bias.slope": 1.5 if least else 0}
-        assert candidates["slope"]["rmse"] == 0.3
-
-
-@pytest.mark.exhaustive
 def test_errors_are_those_of_the_validation_if_there_is_one(quick):
     plain, _ = run(load_advice(Path("a.yaml"), ["output=plain"]))
     stored = result_of(plain)["advice"]
@@ -671,21 +604,6 @@ def test_errors_are_those_of_the_validation_if_there_is_one(quick):
     assert {each["fit_rmse"] for each in stored["candidates"]} == {0.1, 0.2}
     assert stored["over"] == "2 views for validation"
     assert "RMSE, fitted views" in (apart / "report.html").read_text()
-
-
-@pytest.mark.exhaustive
-def test_validation_of_a_fit_is_in_the_table_of_its_sweep():
-    import pyarrow.parquet
-
-    Path("a.yaml").write_text(SHARED)
-    advice = load_advice(Path("a.yaml"), [VALIDATION, "output=out"])
-    folder, _ = run(advice)
-    table = pyarrow.parquet.read_table(folder / "results.parquet").to_pydict()
-    metrics = result_of(study.run_fit(advice.sweep.runs[0].config, console=Console(quiet=True)))["metrics"]
-    for when in ("before", "after"):
-        assert table[f"validation.{when}.rmse"][0] == metrics["validation"][when]["rmse"] != metrics[when]["rmse"]
-    assert table["validation.before.rmse"][0] != table["validation.after.rmse"][0]
-    assert result_of(folder)["advice"]["candidates"][0]["rmse"] == min(table["validation.after.rmse"])
 
 
 def test_failed_fit_is_left_out_and_reported(quick, monkeypatch):
@@ -724,29 +642,3 @@ def test_bias_for_less_acne_is_the_least_that_has_it():
     assert least.false_shadow <= min(greatest.false_shadow, found.false_shadow)
     assert found.value < least.value <= 16
     assert least_bias_for(config, "bias.constant", 1.0).value == 0
-
-
-@pytest.mark.exhaustive
-def test_killed_advice_is_finished_by_the_same_command(tmp_path):
-    """Killed during the fits, and the second time during the timing."""
-    command = [sys.executable, "-m", "diffshadow", "advise", "a.yaml", "output=out", "--workers", "1"]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    runs, record = Path("out/a-advise/runs"), Path("out/a-advise/result.json")
-
-    def killed_when(reached) -> None:
-        started = time.monotonic()
-        with subprocess.Popen(command, env=environment, start_new_session=True) as process:
-            while process.poll() is None and not reached() and time.monotonic() < started + 300:
-                time.sleep(0.05)
-            os.killpg(process.pid, signal.SIGKILL)
-
-    done = lambda: [each for each in runs.glob("*/result.json") if not each.parent.name.startswith(".")]
-    killed_when(lambda: len(done()) >= 1)
-    first = {each: each.stat().st_mtime_ns for each in done()}
-    assert first
-    assert "advice" not in json.loads(record.read_text())
-    killed_when(lambda: len(done()) == 2)
-    finished = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
-    assert finished.returncode == 0, finished.stderr
-    assert {each: each.stat().st_mtime_ns for each in first} == first
-    assert len(json.loads(record.read_text())["advice"]["candidates"]) == 2

@@ -423,13 +423,6 @@ def _only_again(check: Callable[..., None]) -> Callable[..., None]:
 
 
 @pytest.mark.exhaustive
-def test_figures_of_runs_are_those_of_a_local_sweep(tmp_path):
-    there, here = both(tmp_path, ["sweep.figures=true", "sweep.repeats=1"])
-    assert there == here
-    assert any(name.startswith("figures") and name.endswith(".yaml") for name in there)
-
-
-@pytest.mark.exhaustive
 def test_a_worker_may_be_lost_and_another_may_join(tmp_path):
     def lose(cluster: Elsewhere, folder: Path) -> None:
         first = cluster._workers[0]
