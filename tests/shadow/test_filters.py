@@ -1,28 +1,23 @@
 """Filters: what they become at special radii, how they weigh, and the random disk's pattern and early-out."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scenes import apply, lookups_at, map_of, marked, random_lookups, random_map
+from scenes import apply, lookups_at, map_of, random_lookups, random_map
 
 from diffshadow.shadow import (
     Bilinear,
-    ExponentialVarianceShadowMap,
     FourTap,
     HardCompare,
     Lookup,
-    MomentShadowMap,
     Nearest,
     Pattern,
     PercentageCloser,
     RandomDisk,
     SoftCompare,
-    Tent,
-    VarianceShadowMap,
     stratified,
 )
 from diffshadow.shadow.filters._pcf import _covered, _lower_edge, _width
@@ -210,22 +205,3 @@ def test_visibility_stays_in_its_range(seed, radius, width, scale, empty):
 def test_impossible_filters_are_refused(make, message):
     with pytest.raises(ValueError, match=message):
         make()
-
-
-SIZED = [PercentageCloser, MomentShadowMap, Tent, VarianceShadowMap, ExponentialVarianceShadowMap]
-
-
-@pytest.mark.parametrize("kind", marked(SIZED, exhaustive=SIZED[2:]))
-def test_a_radius_that_is_traced_has_a_reach_of_its_own(kind, rng):
-    """A filter made within `jax.grad` has the same gradient as one with `max_radius`."""
-    shadow_map, lookup = random_map(rng), random_lookups(rng)
-    mean = lambda made: jnp.mean(made(shadow_map, lookup, SOFT))
-    free = eqx.filter_jit(jax.value_and_grad(lambda radius: mean(kind(radius))))
-    bounded = jax.value_and_grad(lambda radius: mean(kind(radius, max_radius=8.0)))
-    (value, slope), (expected, expected_slope) = free(jnp.float32(1.7)), bounded(1.7)
-    assert float(value) == pytest.approx(float(expected), rel=1e-6)
-    assert float(slope) == pytest.approx(float(expected_slope), rel=1e-5)
-    assert abs(float(slope)) > 1e-4
-    assert np.isfinite(free(jnp.float32(8))[0])
-    with pytest.raises(RuntimeError, match=rf"{kind.__name__}.radius is above 8 texels.*pass max_radius=, in texels"):
-        jax.block_until_ready(free(jnp.float32(8.1)))

@@ -19,7 +19,7 @@ from rich.console import Console
 from scenes import staying_in
 from stored_runs import write_fit, write_render, write_sweep
 
-from diffshadow import io, study
+from diffshadow import study
 from diffshadow.cli import main
 from diffshadow.config import load_sweep, parse_config
 from diffshadow.study.sweeps import _work as sweep_work
@@ -287,13 +287,3 @@ def test_damaged_configuration_of_a_run_costs_a_sweep_only_its_settings(runs, to
     place.mkdir(parents=True)
     (place / "config.yaml").write_text("sede: 1")
     assert told("report", folder) == ""
-
-
-def test_damaged_entry_of_the_cache_is_computed_again(tmp_path):
-    arrays = io.cached_arrays(["key"], lambda: {"a": np.ones(3)}, tmp_path)
-    (entry,) = tmp_path.glob("*.npz")
-    with zipfile.ZipFile(entry, "w") as new:
-        # More than any machine has.
-        new.writestr("_a.npy", header((10**12,), "<f8"))
-    again = io.cached_arrays(["key"], lambda: {"a": np.ones(3)}, tmp_path)
-    np.testing.assert_array_equal(again["a"], arrays["a"])
