@@ -426,16 +426,3 @@ def test_each_number_of_a_solver_is_where_it_belongs(name):
     if name == "adam":
         assert made.descent.steps == 7
         np.testing.assert_allclose(made.search.learning_rate, 0.02)
-
-
-def test_residual_squares_sum_to_the_mean_square_error_over_the_mask(known):
-    mapping = disk(1.0, 0.3)
-    difference = np.asarray(mapping.visibility(known.shadow_map, known.surface) - known.reference)
-    half = np.asarray(known.mask) & (np.arange(known.mask.shape[1]) < known.mask.shape[1] // 2)
-    part = eqx.tree_at(lambda problem: problem.mask, known, jnp.asarray(half))
-    squares = [np.sum(difference[mask] ** 2) for mask in (half, np.asarray(known.mask))]
-    assert 0.1 < squares[0] / squares[1] < 0.9
-    assert float(part.mean_square_error(mapping)) == pytest.approx(squares[0] / half.sum(), rel=1e-5)
-    # Every pixel of several problems has the same weight.
-    joint = float(Joint.of([part, known]).mean_square_error(mapping))
-    assert joint == pytest.approx(sum(squares) / (half.sum() + int(known.count)), rel=1e-5)

@@ -254,6 +254,22 @@ def test_png_of_another_shape_or_place_is_refused(tmp_path):
 # Whole-or-nothing writes
 
 
+def test_image_that_cannot_be_written_leaves_the_old_one(tmp_path, monkeypatch):
+    path = tmp_path / "old.png"
+    write_visibility(path, RAMP)
+    before = path.read_bytes()
+
+    def breaks_off(file, _):
+        file.write_bytes(b"half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("diffshadow.io._images._WRITERS", {".png": breaks_off})
+    with pytest.raises(FileError, match="No space left on device"):
+        write_visibility(path, RAMP)
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
 def test_atomic_path_replaces_on_success(tmp_path):
     target = tmp_path / "result.txt"
     target.write_text("old")

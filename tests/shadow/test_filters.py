@@ -1,5 +1,6 @@
 """Filters: what they become at special radii, how they weigh, and the random disk's pattern and early-out."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,14 +11,18 @@ from scenes import apply, lookups_at, map_of, random_lookups, random_map
 
 from diffshadow.shadow import (
     Bilinear,
+    ExponentialVarianceShadowMap,
     FourTap,
     HardCompare,
     Lookup,
+    MomentShadowMap,
     Nearest,
     Pattern,
     PercentageCloser,
     RandomDisk,
     SoftCompare,
+    Tent,
+    VarianceShadowMap,
     stratified,
 )
 from diffshadow.shadow.filters._pcf import _covered, _lower_edge, _width
@@ -205,3 +210,23 @@ def test_visibility_stays_in_its_range(seed, radius, width, scale, empty):
 def test_impossible_filters_are_refused(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+SIZED = [PercentageCloser, MomentShadowMap, Tent, VarianceShadowMap, ExponentialVarianceShadowMap]
+
+
+def test_a_radius_that_is_traced_reaches_eight_texels_and_no_further():
+    """As with `max_radius=8`: a filter made within `jax.jit` or `jax.grad` takes memory for so many."""
+    most = []
+
+    @eqx.filter_jit
+    def radii(radius, kind):
+        made = kind(radius)
+        most.append(made.max_radius)
+        return made.radius
+
+    for kind in SIZED:
+        assert float(radii(jnp.float32(8), kind)) == 8
+        with pytest.raises(RuntimeError, match=rf"{kind.__name__}.radius is above 8 texels.*pass max_radius="):
+            jax.block_until_ready(radii(jnp.float32(8.1), kind))
+    assert most == [8.0] * len(SIZED)

@@ -14,6 +14,7 @@ from scenes import staying_in
 from tables import cases, is_said
 
 from diffshadow import study
+from diffshadow.cli import main
 from diffshadow.config import ConfigError, build_technique, load_advice, load_config, parse_config, with_fitted
 from diffshadow.io import write_visibility
 from diffshadow.study.advice import _advise as module
@@ -195,6 +196,13 @@ def test_sweeps_and_views_with_maps_of_their_own_are_refused():
         advice_of(None, "sweep={repeats: 2}")
     with pytest.raises(ConfigError, match=r"fit\.views: changes shadow_map\.resolution.*advise\.resolutions"):
         advice_of(None, "fit.views={grid: {shadow_map.resolution: [[8, 8], [16, 16]]}}")
+
+
+def test_command_says_one_line_and_no_traceback(capsys):
+    with pytest.raises(SystemExit) as exit:
+        main(["advise", "a.yaml", "advise.filters=[]"])
+    assert exit.value.code == 2
+    assert "advise.filters: is an empty list" in capsys.readouterr().err
 
 
 def test_fitted_values_are_where_the_next_fit_starts_and_within_their_bounds():
@@ -497,6 +505,21 @@ def test_page_is_written_again_from_the_files_alone(finished):
     (folder / "report.html").unlink()
     assert study.report(folder, form="svg").read_text() == before
     assert (folder / "front.svg").is_file()
+
+
+def test_damaged_and_incomplete_folders_are_reported(finished, tmp_path):
+    from diffshadow.io import FileError
+
+    _, folder, _ = finished
+    result = result_of(folder)
+    for change, said in (
+        ({"advice": {**result["advice"], "recommended": "x"}}, "advice.recommended|recommended: is x"),
+        ({"advice": {**result["advice"], "candidates": []}}, "advice.candidates"),
+        ({"advice": None}, "incomplete recommendation|expected"),
+    ):
+        (tmp_path / "result.json").write_text(json.dumps({**result, **change}))
+        with pytest.raises(FileError, match=said):
+            study.report(tmp_path)
 
 
 def test_advice_that_is_started_again_fits_and_times_nothing_twice(finished, monkeypatch):

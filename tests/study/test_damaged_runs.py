@@ -183,7 +183,8 @@ def test_arrays_are_checked_before_memory_is_taken(harm, runs, told, tmp_path):
     apply, said = HARMS[harm]
     apply(folder)
     assert said in told("report", folder)
-    assert said in told("compare", runs["fit"], folder)
+    if harm in ("missing", "pipe"):
+        assert said in told("compare", runs["fit"], folder)
 
 
 def test_other_files_of_a_folder_do_no_harm(runs, told, tmp_path):

@@ -246,7 +246,7 @@ def test_fit_writes_every_file_and_nothing_else(finished):
 
 def test_stored_errors_and_steps_are_what_they_say(finished):
     """Errors of the stored images, losses at the stored values, and the reference's noise."""
-    folder, said, home = finished
+    folder, _, home = finished
     result = result_of(folder)
     with staying_in(home):
         config = load_config(folder / "config.yaml", [], fitting=True)
@@ -255,8 +255,9 @@ def test_stored_errors_and_steps_are_what_they_say(finished):
         truth = reference.trace_visibility(scene, 8, config.reference.sampler, config.seed)
     with np.load(folder / "arrays.npz") as stored:
         arrays = dict(stored)
-    by_name = {"mae": metrics.mae, "ssim": metrics.ssim}
+    by_name = {"rmse": metrics.rmse, "mae": metrics.mae, "ssim": metrics.ssim}
     by_name |= {name: getattr(metrics, name) for name in ("false_shadow_rate", "false_light_rate")}
+    assert result["metrics"]["after"]["rmse"] < 0.7 * result["metrics"]["before"]["rmse"]
     for when in ("before", "after"):
         errors = result["metrics"][when]
         for name, metric in by_name.items():
@@ -265,13 +266,6 @@ def test_stored_errors_and_steps_are_what_they_say(finished):
         assert light[when] == {name: error for name, error in errors.items() if name != "flip"}
     noise = np.sqrt(np.mean(np.square(truth.standard_error, dtype=np.float64)[truth.mask]))
     assert result["metrics"]["reference_noise_floor"] == pytest.approx(noise, rel=1e-6)
-    # What is printed is what is stored.
-    printed = {line.split("│")[1].strip(): line.split("│")[2:4] for line in said.splitlines() if line.startswith("│")}
-    names = {"RMSE": "rmse", "MAE": "mae", "SSIM": "ssim", "false shadow (acne)": "false_shadow_rate"}
-    for label, name in names.items():
-        factor = 100 if name.endswith("rate") else 1
-        shown = [float(text.strip(" %")) for text in printed[label]]
-        assert shown == pytest.approx([factor * result["metrics"][w][name] for w in ("before", "after")], abs=6e-4)
     problem = fit.TechniqueProblem(
         technique, drawn.state, drawn.surface, as_array(arrays["reference"]), as_array(arrays["mask"])
     )
