@@ -14,11 +14,13 @@ from diffshadow.fit import (
     Anneal,
     Parameter,
     Parameters,
+    Search,
     Solver,
     TechniqueProblem,
     fit,
     parameter_names,
     resolve,
+    with_parameters,
     with_values,
 )
 from diffshadow.fit._history import Reporter
@@ -127,6 +129,27 @@ def test_history_is_in_order_and_true(solver, known, results):
         mapping = disk(step.values[1], step.values[0], SoftCompare(step.width))
         assert step.loss == pytest.approx(float(known.mean_square_error(mapping)), rel=2e-3, abs=1e-7)
     assert result.steps == sum(phase.steps for phase in result.phases)
+
+
+@pytest.mark.exhaustive
+def test_values_that_are_counted_from_an_offset_are_reported_with_it(known):
+    seen, far = [], 3.0 * 2**20
+    counted = dataclasses.replace(BIAS, initial=far + 1.6, lower=far, upper=far + 6.0, offset=far)
+    how = {"solver": patient(SOLVERS[0]), "anneal": SHORT, "search": Search(starts=2)}
+    near, result = fit(known, [BIAS, RADIUS], **how), fit(known, [counted, RADIUS], **how, on_step=seen.append)
+    # Their own numbers have the digits of single precision, far from 0 too.
+    plus = lambda values: (values[0] + far, values[1])
+    assert tuple(result.fitted.values()) == plus(tuple(near.fitted.values()))
+    assert tuple(result.initial.values()) == plus(tuple(near.initial.values()))
+    assert tuple(result.best.values()) == plus(tuple(near.best.values()))
+    assert [phase.values for phase in result.phases] == [plus(phase.values) for phase in near.phases]
+    assert [step.values for step in result.history] == [plus(step.values) for step in near.history]
+    assert seen == result.history
+    assert [start.end for start in result.starts] == [plus(start.end) for start in near.starts]
+    assert [start.initial for start in result.starts] == [plus(start.initial) for start in near.starts]
+    assert float(result.technique.bias.constant.value) == float(near.technique.bias.constant.value)
+    put = with_parameters(disk(), [counted, RADIUS], list(result.fitted.values()))
+    assert float(put.bias.constant.value) == float(result.technique.bias.constant.value)
 
 
 def test_a_trial_at_no_place_is_no_step():

@@ -24,6 +24,7 @@ from diffshadow.geometry import (
     Edges,
     MatrixCamera,
     Mesh,
+    OrthographicCamera,
     PinholeCamera,
     Warp,
     merge,
@@ -135,6 +136,13 @@ def test_a_warp_may_follow_the_depths_that_are_seen():
     np.testing.assert_allclose(strength("camera"), np.sqrt(FAR) - 1, rtol=1e-3)
     with pytest.raises(ValueError, match="expected a surface"):
         layout("surface").light(NOON, camera, SIZE)
+
+
+@pytest.mark.exhaustive
+def test_a_parallel_camera_needs_no_warp():
+    camera = OrthographicCamera((0, 1, 0), (0, 1, -1), height=4.0, near=-1.0, far=FAR, resolution=(32, 32))
+    assert float(warped(TIGHT["lispsm"], NOON, camera).warp.strength) == 0
+    assert float(warped(PerspectiveWarp(strength=2.0, margin=0.0), NOON, camera).warp.strength) == 2
 
 
 @eqx.filter_jit

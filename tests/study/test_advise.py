@@ -599,6 +599,32 @@ def quick(monkeypatch):
 
 
 @pytest.mark.exhaustive
+def test_bias_is_no_worse_than_its_special_cases(quick, monkeypatch):
+    """Whatever its own fit found: one of constant and slope has the better constant, and not that without a slope."""
+    from diffshadow.study.sweeps import _work as work
+
+    errors = {("bias.constant",): 0.1, ("bias.slope",): 0.3, ("bias.constant", "bias.slope"): 0.2}
+
+    def measure(config, batch, stages):
+        names = tuple(sorted(config.fit.parameters))
+        alone = config.model_copy(update={"fit": config.fit.model_copy(update={"parameters": {names[0]: None}})})
+        found = {f"fitted.{name}": 1.5 for name in names}
+        return {**quick(alone, batch, stages), **found, "after.rmse": errors[names], "after.mae": errors[names] / 2}
+
+    monkeypatch.setitem(work._MEASURES, "fit", measure)
+    both = "{label: both, bias: {constant: 1, slope: LEAST}, parameters: {bias.constant: {lower: 0, upper: 8}, "
+    both += "bias.slope: {lower: LEAST, upper: 4}}}"
+    for least, expected in ((0, 0.1), (0.5, 0.2)):
+        section = ADVISE.replace("  filters:", f"    - {both.replace('LEAST', str(least))}\n  filters:")
+        Path("b.yaml").write_text(BASE + section)
+        folder, _ = run(load_advice(Path("b.yaml"), [f"output=of{least}"]))
+        candidates = {each["bias"]: each for each in result_of(folder)["advice"]["candidates"]}
+        assert candidates["both"]["rmse"] == expected
+        assert candidates["both"]["values"] == {"bias.constant": 1.5, "bias.slope": 1.5 if least else 0}
+        assert candidates["slope"]["rmse"] == 0.3
+
+
+@pytest.mark.exhaustive
 def test_errors_are_those_of_the_validation_if_there_is_one(quick):
     plain, _ = run(load_advice(Path("a.yaml"), ["output=plain"]))
     stored = result_of(plain)["advice"]

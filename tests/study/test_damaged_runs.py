@@ -108,6 +108,8 @@ def test_parts_of_a_result_that_disagree_are_reported(runs, told, tmp_path):
             "bounds.filter.radius: are 0 and 0; expected lower less",
         ),
         (("metrics", "lights", 0, "light"), "scene.lights.7", "holds files of different runs"),
+        (("metrics", "shown"), [9], "metrics.shown: is [9]; expected less than 1"),
+        (("seed",), None, "command and seed: are not both there"),
         (("metrics", "pixels"), 7, "640 pixels count in the array mask; expected the 7 of result.json"),
     ):
         put(folder, changed(good, path, new))
