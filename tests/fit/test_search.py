@@ -18,7 +18,6 @@ from diffshadow.shadow import (
     Cascades,
     MapSettings,
     Nearest,
-    RandomDisk,
     ShadowMap,
     ShadowMapping,
 )
@@ -187,11 +186,3 @@ def test_bounds_that_a_layout_does_not_allow_are_named(seen):
     made = problem(seen, Cascades(3, 0.2, margin=2.0))
     with pytest.raises(ValueError, match=r"further than the technique allows: .*logarithmic is 2.0; expected a number"):
         fit(made, [Parameter("layout.logarithmic", 0.2, 0.0, 2.0)])
-
-
-@pytest.mark.exhaustive
-def test_a_filter_that_may_grow_beyond_the_margin_is_refused(seen):
-    made = problem(seen, Cascades(3, 0.2, margin=2.0))
-    disk = dataclasses.replace(made.technique, filter=RandomDisk(1.0))
-    with pytest.raises(ValueError, match=r"further than the technique allows: .*margin is 2 texels, .* read 4.5"):
-        fit(dataclasses.replace(made, technique=disk), [Parameter("filter.radius", 1.0, 0.0, 4.0)])

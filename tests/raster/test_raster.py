@@ -83,18 +83,6 @@ def test_soups_of_every_kind_see_the_nearest_face(seed):
         assert (depth[face < 0] == 1).all()
 
 
-def test_rounding_decides_few_pixels_of_soups():
-    covered = different = 0
-    for k in range(100):
-        clip, _ = soup(np.random.default_rng([3, k]), COUNT, RESOLUTION)
-        face, _ = draw(clip)
-        exact = rasterize_exact(clip, FACES, RESOLUTION)
-        covered += np.sum(exact.face >= 0)
-        different += np.sum(face != exact.face)
-    assert covered > 25_000
-    assert different < 5e-4 * covered, f"{different} of {covered} pixels differ"
-
-
 def test_depth_of_unclipped_soups_is_that_of_their_planes():
     for k in range(100):
         clip, kinds = soup(np.random.default_rng([5, k]), COUNT, RESOLUTION)
@@ -230,17 +218,6 @@ def test_what_lies_behind_the_nearest_face_is_the_second_nearest(seed):
     passed = np.arange(COUNT)[:, None, None] == first
     assert acceptable(second, layers._replace(inside=layers.inside & ~passed)).all()
     assert (second >= 0).any()
-
-
-@pytest.mark.exhaustive
-def test_second_nearest_faces_and_equal_depths_without_culling():
-    clip, _ = soup(np.random.default_rng([19, 0]), COUNT, RESOLUTION)
-    first, _ = draw(clip, depth_test=LESS_EQUAL)
-    layers = rasterize_exact(clip, FACES, RESOLUTION).layers
-    assert acceptable(first, layers).all()
-    second, _ = draw(clip, behind=jnp.asarray(first))
-    passed = np.arange(COUNT)[:, None, None] == first
-    assert acceptable(second, layers._replace(inside=layers.inside & ~passed)).all()
 
 
 VIEW_FILLING = np.array([[-1, -1, 0, 1], [3, -1, 0, 1], [-1, 3, 0, 1]], np.float32)

@@ -10,7 +10,6 @@ import pytest
 from scenes import (
     apply,
     lookups_at,
-    map_of,
     marked,
     problem,
     random_lookups,
@@ -27,7 +26,6 @@ from diffshadow.geometry import (
 )
 from diffshadow.raster import Surface
 from diffshadow.shadow import (
-    Bilinear,
     ConstantBias,
     HardCompare,
     PercentageCloserSoft,
@@ -196,19 +194,3 @@ def test_one_radius_for_all_is_the_random_disk(compare):
     soft = PercentageCloserSoft(89.0, pattern, pattern, min_radius=2.0, max_radius=2.0)
     found = apply(soft, shadow_map, lookup, compare)
     np.testing.assert_allclose(found, apply(RandomDisk(2.0, pattern), shadow_map, lookup, compare), atol=2e-5)
-
-
-@pytest.mark.exhaustive
-def test_lights_without_size_and_empty_maps():
-    rng = np.random.default_rng(6)
-    shadow_map, lookup = random_map(rng), random_lookups(rng)
-    pattern = stratified((4, 4))
-    point = apply(PercentageCloserSoft(None, pattern, pattern), shadow_map, lookup, HARD)
-    np.testing.assert_allclose(point, apply(Bilinear(), shadow_map, lookup, HARD), atol=1e-6)
-    large, empty = PercentageCloserSoft(30.0, pattern, pattern), map_of(np.ones((11, 14)))
-    np.testing.assert_array_equal(apply(large, empty, lookup, HARD), 1)
-    np.testing.assert_array_equal(apply(large, empty, lookup, SoftCompare(0.5)), 1)
-    wholly, shape = map_of(np.full((11, 14), 0.1)), lookup.depth.shape
-    inner = lookups_at(rng.uniform(5, 9, shape), rng.uniform(5, 6, shape))
-    narrow = PercentageCloserSoft(30.0, pattern, pattern, max_radius=4.0)
-    np.testing.assert_array_equal(apply(narrow, wholly, inner, HARD), 0)
