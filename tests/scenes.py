@@ -16,7 +16,7 @@ import pytest
 from optimistix import RESULTS
 
 from diffshadow._arithmetic import as_array, as_float
-from diffshadow.fit import TechniqueProblem, with_values
+from diffshadow.fit import TechniqueProblem
 from diffshadow.fit._solve import Solution
 from diffshadow.fit.problems._stack import Stack
 from diffshadow.geometry import (
@@ -125,25 +125,6 @@ def jacfwd_and_value(function: Callable[..., Any]) -> Callable[..., Any]:
         return value, value
 
     return jax.jacfwd(twice, has_aux=True)
-
-
-@eqx.filter_jit
-def _loss_and_gradients(known: TechniqueProblem, names: tuple[str, ...], values: Any, reverse: bool) -> Any:
-    loss = lambda values: known.mean_square_error(with_values(known.technique, names, values))
-    forward, value = jacfwd_and_value(loss)(values)
-    return value, forward, jax.jacrev(loss)(values) if reverse else None
-
-
-def slopes_of_loss(
-    known: TechniqueProblem, names: tuple[str, ...], values: Any, steps: Any, reverse: bool = False
-) -> Any:
-    """Central differences (p,) of the mean square error by the numbers at `names`, in `steps` (p,) of each; and its
-    gradient by forward and, if asked for, by reverse mode. All by one program, so that one is compiled."""
-    at = lambda values: jax.tree.map(np.asarray, _loss_and_gradients(known, names, jnp.asarray(values), reverse))
-    differences = [(at(values + d)[0] - at(values - d)[0]) / (2 * d.sum()) for d in np.diag(steps)]
-    _, forward, backward = at(values)
-    assert forward.dtype == jnp.result_type(float)
-    return np.array(differences), forward, backward
 
 
 def technique(kernel: AbstractFilter, constant=0.0, slope=0.0, normal_offset=0.0, compare=None) -> ShadowMapping:

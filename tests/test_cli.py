@@ -103,18 +103,6 @@ def test_mistakes_are_reported_on_stderr_before_any_work(command, runner, capsys
     assert runner == []
 
 
-def test_every_problem_of_a_file_is_in_the_one_message(tmp_path, capsys):
-    file = tmp_path / "c.yaml"
-    file.write_text("seed: -1\nscene: {meshes: []}\n")
-    assert run("fit", file, "bias.slope=x") == 2
-    lines = capsys.readouterr().err.splitlines()
-    assert [line.removeprefix("error: ").split(": ")[0] for line in lines] == [
-        f"{file}:1",
-        f"{file}:2",
-        "override 'bias.slope=x'",
-    ]
-
-
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -368,15 +356,6 @@ def test_version_is_the_package_s(capsys):
 
     assert run("--version") == 0
     assert capsys.readouterr().out.strip() == version("diffshadow")
-
-
-def test_process_fails_cleanly_and_leaves_nothing(tmp_path):
-    result = process(tmp_path, "fit", QUICKSTART, "filter.type=pcf4")
-    assert result.returncode == 2
-    assert result.stdout == ""
-    assert "did you mean 'pcf'?" in result.stderr
-    assert "Traceback" not in result.stderr
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ import csv
 import importlib
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -70,13 +71,136 @@ def test_every_sweep_is_valid(config, capsys):
     assert "would be done now" in " ".join(out.split())
 
 
-@pytest.mark.exhaustive
-def test_error_falls_with_resolution_as_a_seam_does():
-    found = run("error_vs_resolution", "scene.light.angular_radius=0", sizes="64,128", only="bilinear")
+def by(found, key):
+    """A column of what an experiment finds."""
+    return np.array([row[key] for row in found["rows"]])
+
+
+def falls_as_a_seam_does(found):
+    errors = dict(zip(by(found, "resolution").tolist(), by(found, "rmse"), strict=True))
     assert found["reference_noise"] == 0, "a hard light's truth is exact"
-    errors = {(row["technique"], row["resolution"]): row["rmse"] for row in found["rows"]}
-    assert 0 < errors["bilinear", 128] < errors["bilinear", 64] < 0.5
+    assert 0 < errors[128] < errors[64] < 0.5
     assert -1 < found["slopes"]["bilinear"] < -0.2, "about -1/2"
+
+
+def ends_where_the_landscape_is_lowest(found):
+    assert found["ratio"] < 1.03
+    assert found["fit"]["rmse"] < 0.9 * found["start"]["rmse"]
+    # Over the bias, at every radius.
+    acne, leaks = (by(found, key).reshape(7, 7) for key in ("false_shadow", "false_light"))
+    assert (np.diff(acne, axis=0) <= 1e-6).all()
+    assert (np.diff(leaks, axis=0) >= -1e-6).all()
+    assert acne[0].min() > 2 * acne[-1].max()
+
+
+def nears_the_hard_compare_and_its_gradient(found):
+    narrow, middle, wide = found["rows"]
+    assert narrow["rmse_to_hard"] < middle["rmse_to_hard"] < wide["rmse_to_hard"]
+    assert narrow["rmse_to_truth"] == pytest.approx(found["hard_rmse"], rel=0.1)
+    # The radius has a gradient without any softness; that of the bias is right up to the taps' number.
+    assert narrow["gradient_error_radius"] < 0.1 < wide["gradient_error_radius"]
+    assert middle["gradient_error_bias"] < 0.6 < wide["gradient_error_bias"]
+
+
+def fits_before_it_times(found):
+    nearest, disk = found["rows"]
+    assert disk["rmse"] < nearest["rmse"], "a soft shadow wants a filter"
+    assert all(row["rmse"] <= row["rmse_before"] and row["milliseconds"] > 0 for row in found["rows"])
+    assert (disk["pareto"], nearest["pareto"]) == (True, nearest["milliseconds"] < disk["milliseconds"])
+
+
+def does_best_where_it_was_fitted(found):
+    errors = by(found, "rmse").reshape(2, 2)
+    assert found["worst"]["light"] == pytest.approx((errors / errors.diagonal()).max())
+    assert (errors >= 0.97 * errors.diagonal()).all()
+    assert len(set(by(found, "bias.constant").tolist())) == 2, "suns of different heights want different biases"
+
+
+def is_measured_on_a_grid_and_on_other_views(found):
+    assert set(found["fits"]) == {"mean", "worst"}
+    for fitted in found["fits"].values():
+        assert fitted["ratio"] == pytest.approx(fitted["fit"]["rmse"] / fitted["grid"]["rmse"])
+        assert fitted["ratio"] < 1.1, "a coarse grid is no better"
+    single = by(found, "rmse_unseen").mean()
+    assert found["validation"]["single view"]["mean"] == pytest.approx(single)
+    assert found["gain"]["mean"] == pytest.approx(found["validation"]["joint, mean"]["mean"] / single)
+
+
+def does_not_change_with_the_scale(found):
+    assert by(found, "scale").tolist() == [0.01, 1, 100]
+    most = {"picture": 0.01, "rmse before": 1e-3, "rmse after": 1e-2, "bias.constant": 0.05, "filter.radius": 0.05}
+    assert all(found["worst"][name] < limit for name, limit in most.items())
+
+
+def lies_within_the_deviations_that_fits_report(found):
+    covered = found["covered"]["directional"]
+    assert (covered["fits"], covered["values"] + covered["without"]) == (16, 32)
+    # Four of a binomial's standard deviations below 68 % and 95 % of 32.
+    assert covered["one"] >= 0.35
+    assert covered["two"] >= 0.79
+    assert len(set(by(found, "error").tolist())) == 32, "every draw is another"
+
+
+def is_closer_than_a_visual_hull_and_than_plain_steps(found):
+    large, plain, hull = found["rows"]
+    assert [row["method"] for row in found["rows"]] == ["large steps", "plain steps", "visual hull"]
+    assert large["chamfer"] < min(plain["chamfer"], hull["chamfer"])
+    assert large["unseen"] > plain["unseen"]
+    assert hull["seen"] > 0.95
+
+
+FITTED_SUN = (
+    "scene.camera={resolution: [48, 48], eye: [0.6, 2.9, 2.4], target: [0.2, 0.1, -0.1], fov_y: 42}",
+    "bias={constant: 0.5, plane: {type: receiver_plane, deepening: 0.5}}",
+    "scene.meshes=[{path: builtin:torus, size: 1, drop_to_ground: true}, {path: builtin:plane, options: {size: 4}}]",
+    *("scene.light.angular_radius=0", "filter={type: bilinear}", "reference={supersampling: 4}"),
+    # The draws replace what is fitted.
+    "fit={parameters: {scene.light.azimuth: {lower: -95, upper: -15}}, blurs: [3]}",
+)
+SHAPE = (
+    "scene={meshes: [{path: builtin:blob, size: 1.6, options: {subdivisions: 3}}], lights: [{}, {}, {}]}",
+    "fit={shape: {screen: below, resolution: [32, 32], unseen: [{azimuth: 57, elevation: 25}, {azimuth: 195, "
+    "elevation: 59}], phases: [{strength: 10, rate: 0.1, steps: 40}, {strength: 3, rate: 0.04, steps: 30}], "
+    "start: {path: builtin:sphere, size: 1.2, translate: [0, 0.2, 0], options: {subdivisions: 3}}}}",
+)
+VIEWS = (
+    "fit.views={grid: {scene.light.azimuth: [-150, -60, 30]}}",
+    "fit.validation={grid: {scene.light.azimuth: [-100, 80]}}",
+)
+# Overrides, options, and what must be true of what is found.
+RUNS: dict[str, tuple[tuple[str, ...], dict[str, Any], Callable[[dict[str, Any]], None]]] = {
+    "error_vs_resolution": (
+        ("scene.light.angular_radius=0",),
+        {"sizes": "64,128", "only": "bilinear"},
+        falls_as_a_seam_does,
+    ),
+    "bias_landscape": ((), {"size": 7}, ends_where_the_landscape_is_lowest),
+    "soft_width": (
+        (),
+        {"kernels": "linear", "widths": 3, "least": 0.02, "most": 8.0, "points": 2, "scale": 0.5},
+        nears_the_hard_compare_and_its_gradient,
+    ),
+    "shootout": ((), {"only": "nearest,disk", "repeats": 3, "most": 1}, fits_before_it_times),
+    "generalisation": ((), {"over": "light", "count": 2}, does_best_where_it_was_fitted),
+    "many_views": (VIEWS, {"size": 7}, is_measured_on_a_grid_and_on_other_views),
+    "scale_invariance": ((), {"scales": "0.01,100"}, does_not_change_with_the_scale),
+    "coverage": (
+        FITTED_SUN,
+        {"lights": "directional", "meshes": "builtin:blob", "draws": 16},
+        lies_within_the_deviations_that_fits_report,
+    ),
+    "shapes": (SHAPE, {"suns": "3", "sizes": "32"}, is_closer_than_a_visual_hull_and_than_plain_steps),
+}
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("experiment", RUNS)
+def test_an_experiment_finds_what_its_description_promises(experiment):
+    overrides, options, holds = RUNS[experiment]
+    if experiment == "shapes":
+        Path("tiny.yaml").write_text("\n".join(line.replace("=", ": ", 1) for line in overrides))
+        overrides = ()
+    holds(run(experiment, *overrides, **options))
 
 
 @pytest.mark.exhaustive
@@ -84,123 +208,12 @@ def test_cascades_warps_and_pages_put_texels_where_they_are_seen():
     script, corridor = importlib.import_module("where_texels_go"), (ROOT / "configs" / "corridor.yaml").read_text()
     Path("corridor.yaml").write_text(corridor.replace("resolution: [256, 256]", "resolution: [64, 64]"))
     found = script.main(Path("corridor.yaml"), sizes="512", only="plain,lispsm,perspective,pages,cascades4", frames=2)
-    folder = Path("runs") / "corridor-where_texels_go"
-    assert {file.suffix for file in folder.iterdir()} == {".png", ".csv", ".json"}
-    plain, lispsm, perspective, pages, cascades = (row["rmse"] for row in found["rows"])
+    plain, lispsm, perspective, pages, cascades = by(found, "rmse")
     assert perspective < lispsm < 0.8 * plain
     assert cascades < 0.6 * plain
     assert pages < 0.9 * min(lispsm, cascades), "where memory suffices"
-    assert [row["spacing"] is None for row in found["rows"]] == [True, True, True, True, False]
-    extents = [row["percentile_99"] for row in found["rows"]]
-    assert max(extents[1:]) < 0.5 * extents[0]
-    flicker = [row["flicker"] for row in found["rows"]]
-    assert 0 < max(flicker[1:]) < 0.8 * flicker[0], "finer texels crawl less"
-
-
-@pytest.mark.exhaustive
-def test_fit_ends_where_the_landscape_is_lowest():
-    found = run("bias_landscape", size=7)
-    assert found["ratio"] < 1.03
-    assert found["fit"]["rmse"] < 0.9 * found["start"]["rmse"]
-    shape = (7, 7)
-    acne, leaks = (
-        np.array([row[key] for row in found["rows"]]).reshape(shape) for key in ("false_shadow", "false_light")
-    )
-    # Over the bias, at every radius.
-    assert (np.diff(acne, axis=0) <= 1e-6).all()
-    assert (np.diff(leaks, axis=0) >= -1e-6).all()
-    assert acne[0].min() > 2 * acne[-1].max()
-
-
-@pytest.mark.exhaustive
-def test_soft_compare_nears_the_hard_one_and_its_gradient():
-    found = run("soft_width", kernels="linear", widths=3, least=0.02, most=8.0, points=2, scale=0.5)
-    narrow, middle, wide = found["rows"]
-    assert narrow["width"] == pytest.approx(0.02 * 3**0.5)
-    assert narrow["rmse_to_hard"] < middle["rmse_to_hard"] < wide["rmse_to_hard"]
-    assert narrow["rmse_to_truth"] == pytest.approx(found["hard_rmse"], rel=0.1)
-    # The radius has a gradient without any softness; that of the bias is right up to the taps' number.
-    assert narrow["gradient_error_radius"] < 0.1 < wide["gradient_error_radius"]
-    assert middle["gradient_error_bias"] < 0.6 < wide["gradient_error_bias"]
-    assert max(found["truth_uncertain"].values()) < 0.5
-    assert (np.array(found["truth"])[:, 0] != 0).any()
-
-
-@pytest.mark.exhaustive
-def test_shootout_fits_before_it_times():
-    found = run("shootout", only="nearest,disk", repeats=3, most=1)
-    nearest, disk = found["rows"]
-    assert disk["rmse"] < nearest["rmse"], "a soft shadow wants a filter"
-    for row in found["rows"]:
-        assert row["rmse"] <= row["rmse_before"]
-        assert row["milliseconds"] > 0
-    assert disk["pareto"], "nothing has a smaller error"
-    assert nearest["pareto"] == (nearest["milliseconds"] < disk["milliseconds"])
-
-
-@pytest.mark.exhaustive
-def test_values_do_best_where_they_were_fitted():
-    found = run("generalisation", over="light", count=2)
-    errors = np.array([row["rmse"] for row in found["rows"]]).reshape(2, 2)
-    assert (errors.diagonal() > 0).all()
-    assert found["worst"]["light"] == pytest.approx((errors / errors.diagonal()).max())
-    assert (errors >= 0.97 * errors.diagonal()).all()
-    fitted = {row["fitted_on"]: row["bias.constant"] for row in found["rows"]}
-    assert len(set(fitted.values())) == 2, "suns of different heights want different biases"
-
-
-@pytest.mark.exhaustive
-def test_joint_fits_of_views_are_measured_on_a_grid_and_on_other_views():
-    axes = "{grid: {scene.light.azimuth: [-150, -60, 30]}}"
-    unseen = "{grid: {scene.light.azimuth: [-100, 80]}}"
-    found = run("many_views", f"fit.views={axes}", f"fit.validation={unseen}", size=7)
-    assert set(found["fits"]) == {"mean", "worst"}
-    for name, fitted in found["fits"].items():
-        assert fitted["ratio"] == pytest.approx(fitted["fit"]["rmse"] / fitted["grid"]["rmse"]), name
-        assert fitted["ratio"] < 1.1, "a coarse grid is no better"
-    assert found["fits"]["worst"]["fit"]["rmse"] >= found["fits"]["mean"]["fit"]["rmse"]
-    assert [row["fitted_on"] for row in found["rows"]] == [f"azimuth {azimuth}" for azimuth in (-150, -60, 30)]
-    single = np.mean([row["rmse_unseen"] for row in found["rows"]])
-    assert found["validation"]["single view"]["mean"] == pytest.approx(single)
-    assert found["gain"]["mean"] == pytest.approx(found["validation"]["joint, mean"]["mean"] / single)
-
-
-@pytest.mark.exhaustive
-def test_nothing_changes_with_the_scale():
-    found = run("scale_invariance", scales="0.01,100")
-    assert [row["scale"] for row in found["rows"]] == [0.01, 1, 100]
-    worst = found["worst"]
-    assert worst["picture"] < 0.01
-    assert worst["rmse before"] < 1e-3
-    assert worst["rmse after"] < 1e-2
-    assert worst["bias.constant"] < 0.05
-    assert worst["filter.radius"] < 0.05
-
-
-@pytest.mark.exhaustive
-def test_scale_invariance_sees_a_length_that_stays(monkeypatch):
-    script = importlib.import_module("scale_invariance")
-    every = script.scaled
-    forgetful = lambda *args: [word for word in every(*args) if not word.startswith("scene.meshes.0.translate")]
-    monkeypatch.setattr(script, "scaled", forgetful)
-    assert run("scale_invariance", scales="0.1")["worst"]["rmse before"] > 0.05
-
-
-@pytest.mark.exhaustive
-def test_shapes_are_closer_than_their_visual_hull_and_than_plain_steps():
-    mesh = "{path: builtin:blob, size: 1.6, options: {subdivisions: 3}}"
-    unseen = "[{azimuth: 57, elevation: 25}, {azimuth: 195, elevation: 59}]"
-    phases = "[{strength: 10, rate: 0.1, steps: 40}, {strength: 3, rate: 0.04, steps: 30}]"
-    start = "{path: builtin:sphere, size: 1.2, translate: [0, 0.2, 0], options: {subdivisions: 3}}"
-    shape = f"{{screen: below, resolution: [32, 32], unseen: {unseen}, phases: {phases}, start: {start}}}"
-    sections = f"scene: {{meshes: [{mesh}], lights: [{{}}, {{}}, {{}}]}}\nfit: {{shape: {shape}}}\n"
-    Path("tiny.yaml").write_text(sections)
-    found = run("shapes", suns="3", sizes="32")
-    large, plain, hull = found["rows"]
-    assert [row["method"] for row in found["rows"]] == ["large steps", "plain steps", "visual hull"]
-    assert large["chamfer"] < min(plain["chamfer"], hull["chamfer"])
-    assert large["unseen"] > plain["unseen"]
-    assert hull["seen"] > 0.95
+    assert by(found, "percentile_99")[1:].max() < 0.5 * found["rows"][0]["percentile_99"]
+    assert 0 < by(found, "flicker")[1:].max() < 0.8 * found["rows"][0]["flicker"], "finer texels crawl less"
 
 
 def test_visual_hull_of_a_box_from_three_sides_is_the_box():
@@ -220,16 +233,6 @@ def test_border_of_worchel_and_alexas_target_is_dark():
     # Of their picture, which shows nothing else there: 8-bit values along the diagonal, and along a side.
     np.testing.assert_allclose(255 * border[[0, 1, 2], [0, 1, 2]], [205, 249, 255], atol=1)
     np.testing.assert_allclose(255 * border[128, :3], [240, 253, 255], atol=1)
-
-
-@pytest.mark.exhaustive
-def test_camera_sun_and_colours_are_recovered_from_a_traced_picture():
-    """With a quarter of the pixels, in which the sun is less certain."""
-    (found,) = importlib.import_module("picture").main(starts=1, resolution=64)
-    assert found.position < 0.1
-    assert found.turn < 0.05
-    assert found.sun < 1
-    assert found.colour < 0.005
 
 
 @pytest.mark.parametrize(
@@ -304,24 +307,6 @@ def test_light_is_recovered_from_its_shadow():
 
 
 @pytest.mark.exhaustive
-def test_truth_lies_within_the_deviations_that_fits_report():
-    camera = "scene.camera={resolution: [48, 48], eye: [0.6, 2.9, 2.4], target: [0.2, 0.1, -0.1], fov_y: 42}"
-    bias = "bias={constant: 0.5, plane: {type: receiver_plane, deepening: 0.5}}"
-    hard = "scene.light.angular_radius=0", "filter={type: bilinear}", "reference={supersampling: 4}"
-    # The draws replace what is fitted.
-    moved = "fit={parameters: {scene.light.azimuth: {lower: -95, upper: -15}}, blurs: [3]}"
-    plane = "{path: builtin:plane, options: {size: 4}}"
-    meshes = f"scene.meshes=[{{path: builtin:torus, size: 1, drop_to_ground: true}}, {plane}]"
-    found = run("coverage", camera, bias, meshes, *hard, moved, lights="directional", meshes="builtin:blob", draws=16)
-    covered = found["covered"]["directional"]
-    assert (covered["fits"], covered["values"] + covered["without"]) == (16, 32)
-    # Four of a binomial's standard deviations below 68 % and 95 % of 32.
-    assert covered["one"] >= 0.35
-    assert covered["two"] >= 0.79
-    assert len({row["error"] for row in found["rows"]}) == 32, "every draw is another"
-
-
-@pytest.mark.exhaustive
 def test_gallery_shows_each_technique(monkeypatch):
     gallery = importlib.import_module("gallery")
     (name, rows), *_ = gallery.SECTIONS.items()
@@ -334,16 +319,6 @@ def test_gallery_shows_each_technique(monkeypatch):
     pictures = list(Path("images/gallery").glob("*.png"))
     assert len(pictures) >= 3, "the reference is one"
     assert all(str(picture) in page for picture in pictures)
-
-
-@pytest.mark.exhaustive
-def test_pose_benchmark_times_the_parts_asked_for(monkeypatch, capsys):
-    parts = "plain step", "step"
-    monkeypatch.setattr(sys, "argv", ["benchmark_pose.py", "--pixels", "32", "--repeats", "1", "--only", *parts])
-    importlib.import_module("benchmark_pose").main()
-    told = capsys.readouterr().out
-    assert all(f"│ {part} " in told for part in parts)
-    assert "gradient" not in told
 
 
 @pytest.mark.exhaustive

@@ -138,13 +138,6 @@ def test_poses_of_a_far_scene_are_fitted_from_its_origin_and_reported_in_the_wor
         )
 
 
-def test_albedo_is_that_of_the_mesh():
-    text = "scene: {meshes: [{path: 'builtin:box', albedo: [1, 0, 0]}, {path: 'builtin:plane'}]}"
-    albedo = np.asarray(build(text=text).mesh.albedo)
-    assert np.array_equal(albedo[0], [1, 0, 0])
-    assert np.allclose(albedo[-1], 0.8)
-
-
 def test_camera_orbits_the_first_mesh_in_its_radii():
     text = "scene: {meshes: [{path: 'builtin:box', translate: [1, 0, 0]}, {path: 'builtin:plane', options: {size: 9}}]}"
     camera = build("scene.camera.orbit={azimuth: 90, elevation: 0, distance: 4}", text=text).camera
@@ -258,40 +251,6 @@ def test_damaged_mesh_file_is_reported_with_line_and_key(tmp_path):
     assert str(caught.value).startswith(f"{file}:3: scene.meshes.0: ")
 
 
-@pytest.mark.parametrize(
-    ("override", "filter_name", "compare_name"),
-    [
-        ("filter={type: nearest}", "Nearest", "HardCompare"),
-        ("filter={type: bilinear}", "Bilinear", "HardCompare"),
-        ("filter={type: four_tap, radius: 1.5}", "FourTap", "HardCompare"),
-        ("filter={type: pcf, radius: 3}", "PercentageCloser", "HardCompare"),
-        ("filter={samples: 6, lookup: nearest, early_out: true}", "RandomDisk", "HardCompare"),
-        ("compare={type: soft, width: 0.2, kernel: gaussian}", "RandomDisk", "SoftCompare"),
-        ("filter={type: tent, radius: 3}", "Tent", "HardCompare"),
-        ("filter={type: castano, size: 7}", "Castano", "HardCompare"),
-        ("filter={type: separable, weights: [0.5]}", "Separable", "HardCompare"),
-        ("filter={type: pcss, light_size: 0.1}", "PercentageCloserSoft", "HardCompare"),
-        ("filter={type: vsm, kernel: gaussian}", "VarianceShadowMap", "HardCompare"),
-        ("filter={type: esm, exponent: 40}", "ExponentialShadowMap", "HardCompare"),
-        ("filter={type: evsm, radius: 3}", "ExponentialVarianceShadowMap", "HardCompare"),
-        ("filter={type: msm, light_bleeding: 0.1}", "MomentShadowMap", "HardCompare"),
-    ],
-)
-def test_technique_is_what_the_config_says(override, filter_name, compare_name):
-    technique = build_technique(parse_config(TINY, [override, "bias.slope=2"]))
-    assert type(technique.filter).__name__ == filter_name
-    assert type(technique.compare).__name__ == compare_name
-    assert float(technique.bias.slope.value) == 2
-
-
-def test_box_filter_has_room_for_the_radii_of_its_fit():
-    config = parse_config(
-        TINY, ["filter={type: pcf, radius: 2}", "fit.parameters={filter.radius: {lower: 0, upper: 7}}"]
-    )
-    assert build_technique(config).filter.max_radius == 7
-    assert build_technique(config, fitting=False).filter.max_radius == 2
-
-
 def test_render_takes_no_number_from_the_section_fit():
     text = f"{TINY}fit: {{parameters: {{bias.slope_most: {{initial: 3, lower: 0, upper: 5}}}}}}\n"
     config = parse_config(text)
@@ -368,21 +327,6 @@ def test_patterns_are_those_of_the_config(pattern):
     assert not np.array_equal(other.pattern.offsets, disk.pattern.offsets)
 
 
-def test_biases_are_those_of_the_config():
-    bias = technique_of(
-        "bias={constant: 1, slope: 2, slope_profile: one_minus_cosine, slope_least: 0.5, slope_most: 3, "
-        "normal_offset: 4, normal_offset_profile: constant, plane: {type: receiver_plane, fudge: 0.1, deepening: 2}}"
-    ).bias
-    assert (float(bias.constant.value), bias.constant.unit) == (1, "texels")
-    assert (float(bias.slope.value), float(bias.slope.least), float(bias.slope.most)) == (2, 0.5, 3)
-    assert (bias.slope.profile, bias.normal_offset.profile) == ("one_minus_cosine", "constant")
-    assert (float(bias.normal_offset.value), float(bias.plane.fudge)) == (4, pytest.approx(0.1))
-    assert (bias.plane.limit, float(bias.plane.deepening)) == (None, 2)
-    in_depth = technique_of("bias={constant: 0.001, unit: depth, plane: {type: adaptive, epsilon: 0.2}}").bias
-    assert (in_depth.constant.unit, in_depth.slope.unit) == ("depth", "depth")
-    assert float(in_depth.plane.epsilon) == pytest.approx(0.2)
-
-
 def test_technique_follows_its_type():
     assert type(technique_of()).__name__ == "ShadowMapping"
     volumes = technique_of("technique={type: shadow_volumes, method: z_pass}")
@@ -438,22 +382,6 @@ TEXELS = {
 
 def start(name: str) -> float:
     return 0.1 if name == "bias.slope_least" else 0.5
-
-
-def test_lights_are_those_of_the_config():
-    scene = build(
-        "scene.light=null",
-        "scene.lights=[{}, {type: spot, orbit: {}, inner_angle: 5, outer_angle: 20}, "
-        "{type: point, position: [0, 2, 0], radius: 0.1, guard: 0.2, near: 0.5, far: 9}, "
-        "{type: rectangle, position: [1, 3, 0], size: [0.4, 0.2], target: [0, 0, 0], outer_angle: 30}]",
-    )
-    sun, spot, point, panel = scene.lights
-    assert sun.is_directional
-    assert (float(spot.inner_angle), float(spot.outer_angle)) == (5, 20)
-    assert (float(point.near), float(point.far)) == (0.5, 9)
-    assert (float(point.radius), float(point.guard)) == pytest.approx((0.1, 0.2))
-    assert np.allclose(panel.size, [0.4, 0.2])
-    assert float(panel.outer_angle) == 30
 
 
 def test_position_of_a_rectangle_light_is_fitted_and_its_angles_are_not():

@@ -1,6 +1,5 @@
 """Fits whose views are shared among devices."""
 
-import dataclasses
 import json
 import os
 import subprocess
@@ -11,18 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scenes import covered, floor_and_card, free_port, problem, shadows, sun, technique
-from test_search import along_posts
 
 from diffshadow.fit import Search, TechniqueProblem
 from diffshadow.fit.problems import compressed
 from diffshadow.fit.problems._devices import devices_of
-from diffshadow.reference import trace_visibility
 from diffshadow.shadow import (
-    Bias,
-    Cascades,
-    MapSettings,
     RandomDisk,
-    ShadowMapping,
     draw_shadow_map,
     stratified,
 )
@@ -54,12 +47,6 @@ for solver, loss in (("levenberg_marquardt", Loss()), ("levenberg_marquardt", Lo
     found.append([*result.fitted.values(), *result.errors, len(result.history), *deviations])
 print(json.dumps(found))
 """
-LAYOUTS = """
-bounds = [Parameter("layout.logarithmic", 0.2, 0.0, 1.0), Parameter("bias.constant", 1.0, 0.0, 4.0)]
-search = Search(devices=devices, pixels=pixels, evaluations=10)
-result = fit(layouts(), bounds, anneal=Anneal(1.0, 0.2, 2), search=search, on_step=lambda step: None)
-print(json.dumps([[*result.fitted.values(), *result.errors, len(result.history)]]))
-"""
 
 
 def views() -> list[TechniqueProblem]:
@@ -75,21 +62,6 @@ def views() -> list[TechniqueProblem]:
         mask = np.array(covered(disk(2.0, 1.6), shadow_map, surface))
         mask[: 4 * number] = False
         found.append(TechniqueProblem(base.technique, shadow_map, surface, truth, jnp.asarray(mask)))
-    return found
-
-
-def layouts() -> list[TechniqueProblem]:
-    """Two views under cascades, whose spacing a search finds."""
-    scene, found = along_posts(), []
-    for direction in ((0.5, -1.0, -0.4), (-0.6, -1.0, -0.2)):
-        scene = dataclasses.replace(scene, lights=(sun(scene.mesh, direction),))
-        cascaded = ShadowMapping(
-            RandomDisk(1.5, stratified((2, 2))),
-            Bias(1.0),
-            map=MapSettings((32, 32)),
-            layout=Cascades(2, 0.2, margin=8.0),
-        )
-        found.append(TechniqueProblem.of(scene, cascaded, trace_visibility(scene, 1, "sobol", 0)))
     return found
 
 
@@ -126,12 +98,6 @@ def test_several_processes_share_all_devices_or_none(monkeypatch):
 @pytest.mark.parametrize("pixels", [1600, 1 << 20], ids=["of a sample", "of all pixels"])
 def test_two_devices_fit_what_one_does(pixels):
     one, two = (_fitted(devices, pixels) for devices in (1, 2))
-    _check_equal(two, one)
-
-
-@pytest.mark.exhaustive
-def test_two_devices_search_what_one_does():
-    one, two = (_found(_started(LAYOUTS, devices, 1 << 20)) for devices in (1, 2))
     _check_equal(two, one)
 
 

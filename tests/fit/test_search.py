@@ -18,14 +18,11 @@ from diffshadow.shadow import (
     Cascades,
     MapSettings,
     Nearest,
-    PerspectiveWarp,
-    RandomDisk,
     ShadowMap,
     ShadowMapping,
 )
 
 SPACING = Parameter("layout.logarithmic", 0.2, 0.0, 1.0)
-BIAS = Parameter("bias.constant", 1.0, 0.0, 4.0)
 SHORT = Anneal(start=1.0, end=0.2, phases=2)
 
 
@@ -174,39 +171,6 @@ def test_the_ends_of_slices_stay_in_order(seen):
     assert any(step.values[0] >= step.values[1] and step.loss == 1.0 for step in result.history)
 
 
-@pytest.mark.exhaustive
-def test_a_fitted_layout_is_better_than_the_bias_alone(seen):
-    made = problem(seen, Cascades(3, 0.2, margin=2.0))
-    alone = fit(made, [BIAS], anneal=SHORT, solver=Solver(max_steps=10))
-    both = fit(made, [BIAS, SPACING], anneal=SHORT, solver=Solver(max_steps=10), search=Search(evaluations=20))
-    assert min(p.hard_loss for p in both.phases) < min(p.hard_loss for p in alone.phases)
-
-
-@pytest.mark.exhaustive
-def test_shares_of_cascades_are_found(seen):
-    of = lambda *shares: Cascades(3, 0.8, shares=shares, max_share=0.75, margin=2.0)
-    made = problem(seen, of(0.5, 0.5, 1.0))
-    error = lambda layout: float(
-        made.laid_out(technique := dataclasses.replace(made.technique, layout=layout)).mean_square_error(technique)
-    )
-    shares = [Parameter(f"layout.shares.{i}", 0.5, 0.25, 2.0) for i in range(2)]
-    result = fit(made, shares, search=Search(evaluations=15))
-    layout = result.technique.layout
-    assert isinstance(layout, Cascades)
-    assert error(layout) == pytest.approx(result.phases[-1].hard_loss)
-    assert error(layout) < 0.95 * min(error(of(1.0, 1.0, 1.0)), error(of(0.5, 0.5, 1.0)))
-    with pytest.raises(ValueError, match=r"max_share is 0.75; expected at most that"):
-        fit(made, [Parameter("layout.shares.0", 0.5, 0.25, 9.0)])
-
-
-@pytest.mark.exhaustive
-def test_the_strength_of_a_warp_is_found(seen):
-    made = problem(seen, PerspectiveWarp(strength=0.0, margin=2.0))
-    result = fit(made, [Parameter("layout.strength", 0.0, 0.0, 8.0)], search=Search(evaluations=20))
-    assert result.fitted["layout.strength"] > 0.5
-    assert result.phases[0].hard_loss < 0.9 * made.mean_square_error(made.technique)
-
-
 def test_mistakes_are_named(found):
     made, _ = found
     with pytest.raises(ValueError, match="no scene to draw the map from"):
@@ -222,11 +186,3 @@ def test_bounds_that_a_layout_does_not_allow_are_named(seen):
     made = problem(seen, Cascades(3, 0.2, margin=2.0))
     with pytest.raises(ValueError, match=r"further than the technique allows: .*logarithmic is 2.0; expected a number"):
         fit(made, [Parameter("layout.logarithmic", 0.2, 0.0, 2.0)])
-
-
-@pytest.mark.exhaustive
-def test_a_filter_that_may_grow_beyond_the_margin_is_refused(seen):
-    made = problem(seen, Cascades(3, 0.2, margin=2.0))
-    disk = dataclasses.replace(made.technique, filter=RandomDisk(1.0))
-    with pytest.raises(ValueError, match=r"further than the technique allows: .*margin is 2 texels, .* read 4.5"):
-        fit(dataclasses.replace(made, technique=disk), [Parameter("filter.radius", 1.0, 0.0, 4.0)])

@@ -19,8 +19,8 @@ from diffshadow.fit._moving_lights import MovingLights
 from diffshadow.fit._regularizers import Regularizers
 from diffshadow.fit.problems import together
 from diffshadow.fit.problems._aligned import Receivers
-from diffshadow.fit.problems._shape import default_technique, sights
-from diffshadow.geometry import DirectionalLight, Edges, Mesh, OrthographicCamera, PointLight, SpotLight, split_in_four
+from diffshadow.fit.problems._shape import sights
+from diffshadow.geometry import DirectionalLight, Edges, Mesh, OrthographicCamera, PointLight, split_in_four
 from diffshadow.raster import draw_surface
 from diffshadow.shadow import Bilinear, ConstantBias, MapSettings, ShadowMap, ShadowMapping, SilhouetteMap
 from diffshadow.shadow.silhouettes import HalfPlanes
@@ -88,22 +88,6 @@ def test_shadows_come_close_to_their_targets_and_pinned_vertices_stay(views):
     assert np.abs(after[free] - before[free]).max() > 0.1
     partner = programs.mirror_partners(before.astype(float), (1.0, 0.0, 0.0, 0.0))
     np.testing.assert_allclose(after[partner], after * [-1, 1, 1], atol=1e-6)
-
-
-@pytest.mark.exhaustive
-def test_a_stopped_fit_goes_on_to_the_same_bits(views):
-    problem = ShapeProblem(sphere(), views)
-    whole = fit_shape(problem, PHASES)
-    for last in ((0, 9), (0, 13), (1, 2)):
-        stopped = fit_shape(problem, PHASES, on_step=lambda step, last=last: (step.phase, step.step) == last)
-        assert len(stopped.history) == sum(last) + 1 + 13 * last[0]
-        resumed = fit_shape(problem, PHASES, resume=stopped.state)
-        # GPUs add up gradients in any order.
-        close = {"rtol": 0 if jax.default_backend() == "cpu" else 1e-3, "atol": 0}
-        np.testing.assert_allclose(resumed.losses, whole.losses, **close)
-        np.testing.assert_allclose(np.array(resumed.history), np.array(whole.history), **close)
-        if jax.default_backend() == "cpu":
-            np.testing.assert_array_equal(resumed.mesh.vertices, whole.mesh.vertices)
 
 
 def test_another_mesh_and_subdivisions_of_one_padded_size_share_a_program(views, monkeypatch):
@@ -306,25 +290,6 @@ def test_a_pixel_that_is_a_texel_sees_the_parts_of_it_that_are_lit():
 
 
 @pytest.mark.exhaustive
-def test_pixels_that_are_texels_are_seen_as_by_a_look_up(views):
-    problem = ShapeProblem(bumpy_sphere(), views)
-    points = np.asarray(problem.mesh.vertices, float)
-    found = []
-    for is_direct in (True, False):
-        fit: Any = programs.ShapeProgram(problem)
-        assert all(each is not None for each in fit.receivers)
-        fit.receivers = fit.receivers if is_direct else [None] * len(fit.receivers)
-        level = fit.level(points, np.asarray(problem.mesh.faces), np.ones(len(points), bool))
-        found.append(fit.run(level, points, fit.lights.start, 1.0, 1024))
-    direct, looked_up = found
-    assert float(direct.loss) == pytest.approx(float(looked_up.loss), rel=1e-5)
-    for one, other in zip(direct.images, looked_up.images, strict=True):
-        np.testing.assert_allclose(one, other, atol=1e-4)
-    scale = np.abs(looked_up.gradient).max()
-    np.testing.assert_allclose(direct.gradient, looked_up.gradient, atol=1e-3 * scale)
-
-
-@pytest.mark.exhaustive
 def test_the_whole_gradient_matches_differences():
     """In double precision, of a bumpy sphere that is turned: mirrored outlines would coincide, which is a kink.
 
@@ -349,50 +314,3 @@ def test_the_whole_gradient_matches_differences():
     assert moves.sum() > 100
     assert np.quantile(error, 0.95) < 1e-3
     assert np.linalg.norm(difference - found) < 1e-3 * np.linalg.norm(difference)
-
-
-@pytest.mark.exhaustive
-def test_the_gradient_by_lights_matches_differences():
-    """By directions and positions, in double precision, of the same shape."""
-    with jax.enable_x64(True):
-        mesh = bumpy_sphere()
-        points = np.asarray(mesh.vertices, float)
-        sun, lamp = wall((0.0, 0.0, -1.0), side=48), wall((-1.0, 0.0, 0.0), side=48)
-        spot = SpotLight((3.0, 0.1, 0.2), (-1.0, 0.02, 0.03), outer_angle=20, near=1.0, far=9.0)
-        views = [ShapeView(*each, ellipse(0.5, 0.45, 48), moves=True) for each in (sun, (spot, lamp[1]))]
-        # Of texels so fine that a lamp's map may turn without a change to the shadow.
-        fit = programs.ShapeProgram(ShapeProblem(mesh, views, technique=default_technique((160, 160))))
-        level, start = fit.level(points, np.asarray(mesh.faces), np.ones(len(points), bool)), fit.lights.start
-        at = lambda degrees: fit.run(level, points, fit.lights.moved(start, degrees), 0.0, 4096)
-        by_lights = at(np.zeros_like(start)).by_lights
-        assert by_lights is not None
-        found, step = fit.lights.in_degrees(by_lights), 2e-3
-        difference = np.array([(at(e * step).loss - at(-e * step).loss) / (2 * step) for e in np.eye(len(start))])
-    assert np.count_nonzero(found) == 2 + 5
-    np.testing.assert_allclose(found[:3], difference[:3], rtol=0.01)
-    np.testing.assert_allclose(found[3:], difference[3:], atol=0.05 * np.abs(difference).max())
-
-
-@pytest.mark.exhaustive
-def test_a_light_is_found_together_with_the_shape():
-    """Of five suns round a shape, one stands six degrees from where its shadow was drawn."""
-    ways = [(-np.sin(a), 0.0, -np.cos(a)) for a in np.radians([0, 36, 72, 108, 144])]
-    walls = [wall(way) for way in ways]
-    start, truth = sphere(), sphere()
-    truth = Mesh(np.asarray(truth.vertices) * [1.3, 0.9, 0.7], truth.faces)
-    technique = default_technique((SIDE, SIDE))
-    drawn = [technique.map.draw(truth, light, edges=Edges.of(truth)) for light, _ in walls]
-    images = [np.asarray(technique.visibility(each, surface)) for each, (_, surface) in zip(drawn, walls, strict=True)]
-    pose: Any = walls[0][0].pose()
-    off = walls[0][0].at(eqx.tree_at(lambda pose: pose.azimuth, pose, pose.azimuth + 6))
-    lights = [off, *(light for light, _ in walls[1:])]
-    views = [
-        ShapeView(light, surface, image, moves=light is off)
-        for light, (_, surface), image in zip(lights, walls, images, strict=True)
-    ]
-    found = fit_shape(ShapeProblem(start, views), (ShapePhase(10.0, 0.05, 40), ShapePhase(3.0, 0.02, 40)))
-    angle = lambda light: np.degrees(np.arccos(np.clip(np.asarray(light.direction) @ ways[0], -1, 1)))
-    assert angle(off) == pytest.approx(6, abs=0.01)
-    assert angle(found.lights[0]) < 1
-    assert angle(found.lights[1]) == pytest.approx(36, abs=1e-3)
-    assert found.loss < 0.05 * found.initial_loss

@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 from scenes import Waves, problem, technique
 
-from diffshadow._arithmetic import in_float64
 from diffshadow.fit import Anneal, Solver, TechniqueProblem, mean_square_error, train
-from diffshadow.fit._train import _compressed, _loss, _plain, _put, _stacked
 from diffshadow.shadow import Bias, HardCompare, LinearBias, Nearest, Separable, ShadowMapping
 
 SHORT = Anneal(start=1.0, end=0.03, phases=3)
@@ -91,37 +89,6 @@ def test_training_finds_the_kernel_and_the_bias_that_made_the_references(shadowe
     np.testing.assert_allclose(found.technique.filter.weights, (0.9, 0.5), atol=0.12)
     assert found.loss == pytest.approx(mean_square_error(shadowed, found.technique), rel=1e-5)
     assert float(offset(found.technique).value) == pytest.approx(0.2, abs=0.12)
-
-
-@eqx.filter_jit
-def losses(groups, technique, values):
-    """The loss, its gradient by reverse mode, and the compressed residuals."""
-    loss = lambda values: _loss(groups, technique, values, numbers)
-    rows = _compressed(groups, lambda values: _put(technique, numbers, values), values)
-    return *jax.value_and_grad(loss)(values), rows
-
-
-@pytest.mark.exhaustive
-def test_compressed_residuals_have_the_loss_and_its_gradient(views):
-    """Against central differences, in double precision, and against each view on its own."""
-    with jax.enable_x64(True):
-        start = in_float64(waves(START))
-        seen = [_plain(in_float64(view), start) for view in views]
-        groups = _stacked(seen)
-        # Views with images of one size share a loop.
-        assert len(groups) == 2
-        values = np.array(numbers(start))
-        at = lambda values: tuple(map(np.asarray, losses(groups, start, values)))
-        loss, gradient, rows = at(values)
-        difference = eqx.filter_jit(lambda view: view.difference(start))
-        each = [np.sum(np.asarray(difference(view)) ** 2) for view in seen]
-        count = sum(np.asarray(view.mask).sum() for view in seen)
-        np.testing.assert_allclose(loss, sum(each) / count, rtol=1e-9)
-        np.testing.assert_allclose(np.sum(rows[:, -1] ** 2), loss, rtol=1e-9)
-        np.testing.assert_allclose(2 * rows[:, :-1].T @ rows[:, -1], gradient, rtol=1e-7, atol=1e-12)
-        expected = [(at(values + d)[0] - at(values - d)[0]) / 2e-6 for d in 1e-6 * np.eye(2)]
-        assert gradient == pytest.approx(expected, rel=1e-3, abs=1e-8)
-        assert np.abs(gradient).min() > 1e-4
 
 
 @pytest.mark.exhaustive

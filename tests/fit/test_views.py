@@ -10,7 +10,6 @@ import pytest
 from scenes import Programs, Waves, covered, floor_and_card, lamp, problem, shadows, sun, technique
 from scipy.optimize import minimize_scalar
 
-from diffshadow._arithmetic import in_float64
 from diffshadow.fit import (
     Anneal,
     Loss,
@@ -21,18 +20,15 @@ from diffshadow.fit import (
     Sureness,
     TechniqueProblem,
     fit,
-    with_values,
 )
 from diffshadow.fit._judge import Judge
-from diffshadow.fit._solve import _weights, _with_slopes
-from diffshadow.fit.problems import Joint, products, squares
+from diffshadow.fit.problems import Joint, squares
 from diffshadow.fit.problems._stack import Stack, of_one_structure
 from diffshadow.shadow import RandomDisk, draw_shadow_map, stratified
 from diffshadow.shadow.kernels._padded_map import pad
 
 BIAS = Parameter("bias.constant", 1.6, 0.0, 6.0)
 RADIUS = Parameter("filter.radius", 2.0, 0.0, 8.0)
-NAMES = ("bias.constant", "filter.radius")
 SOLVER = Solver("levenberg_marquardt", 60, 1e-4, 1e-7)
 SHORT = Anneal(1.0, 0.2, 2)
 LOSSES = {
@@ -204,30 +200,6 @@ def test_impossible_losses_are_refused(settings, message):
         Loss(**settings)
 
 
-@eqx.filter_jit
-def losses_and_gradients(joint, parameters, fraction):
-    """Each loss, and its gradient as a solver finds it: that of squares with fixed weights."""
-    images, slopes, _ = _with_slopes(joint, parameters, fraction)
-    each = [products(images, tuple(stack[i] for stack in slopes)) for i in range(len(parameters.paths))]
-    losses = [loss.weights(squares(images), joint.shares) @ squares(images) for loss in LOSSES.values()]
-    roots = [_weights(joint.with_loss(loss), images, slopes)[0] for loss in LOSSES.values()]
-    return jnp.stack(losses), jnp.stack([jnp.stack([2 * root**2 @ along for along in each]) for root in roots])
-
-
-def test_gradients_of_the_losses_of_views_are_those_of_finite_differences(views):
-    with jax.enable_x64(True):
-        problems = [eqx.tree_at(lambda p: p.technique, in_float64(each), in_float64(waves())) for each in views]
-        joint = Joint.of(problems, Loss(false_shadow=3.0, false_light=0.5)).stacked()
-        parameters = in_float64(Parameters.of([FIRST, SECOND]))
-        at = lambda fraction: tuple(map(np.asarray, losses_and_gradients(joint, parameters, fraction)))
-        fraction, steps = np.array([0.5, 0.6]), 1e-6 * np.eye(2)
-        _, gradients = at(fraction)
-        expected = np.array([(at(fraction + d)[0] - at(fraction - d)[0]) / 2e-6 for d in steps]).T
-    assert gradients.shape == (len(LOSSES), 2)
-    assert gradients == pytest.approx(expected, rel=1e-4)
-    assert np.abs(gradients).min() > 1e-3
-
-
 def test_a_stack_has_the_images_errors_and_shares_of_its_problems(views):
     mapping = disk(3.0, 0.8)
     apart, together = (
@@ -302,14 +274,6 @@ def twice(view):
     return [view, eqx.tree_at(lambda p: p.shadow_map, view, jax.tree.map(jnp.array, view.shadow_map))]
 
 
-@pytest.mark.exhaustive
-def test_the_same_view_twice_is_fitted_as_once(views):
-    once, both = fitted(views[:1]), fitted(twice(views[0]))
-    assert both.fitted["filter.radius"] == pytest.approx(once.fitted["filter.radius"], abs=0.01)
-    for one, other in zip(once.phases, both.phases, strict=True):
-        assert other.hard_loss == pytest.approx(one.hard_loss, rel=0.01)
-
-
 mean_square_error = eqx.filter_jit(lambda view, subject: view.mean_square_error(subject))
 
 
@@ -329,17 +293,6 @@ def check_the_worst(views, parameter, made, values):
 @pytest.mark.exhaustive
 def test_worst_view_is_better_by_its_own_loss(waved):
     check_the_worst(waved, FIRST, waves, np.linspace(0.5, 1.1, 61))
-
-
-@pytest.mark.exhaustive
-def test_worst_view_is_better_by_its_own_loss_with_a_disk(views):
-    check_the_worst(views, RADIUS, disk, np.linspace(2.4, 4.5, 22))
-
-
-@pytest.mark.exhaustive
-def test_all_worst_views_are_all(views):
-    mean, all_of_them = fitted(views), fitted(views, loss=Loss("cvar", fraction=1.0))
-    assert all_of_them.fitted["filter.radius"] == pytest.approx(mean.fitted["filter.radius"], abs=1e-3)
 
 
 @pytest.mark.exhaustive
@@ -427,11 +380,6 @@ def test_samples_for_the_worst_views_have_the_errors_of_whole_images(over, waved
     check_samples_for_the_worst(over, waved, [FIRST, SECOND], monkeypatch)
 
 
-@pytest.mark.exhaustive
-def test_fits_to_samples_for_the_worst_views_do_so_too(views, monkeypatch):
-    check_samples_for_the_worst("worst", views, [BIAS, RADIUS], monkeypatch)
-
-
 def check_samples_for_the_worst(over, views, parameters, monkeypatch):
     starts, corrected = [], Joint.corrected
     monkeypatch.setattr(Joint, "corrected", lambda *a: starts.append((*a, corrected(*a))) or starts[-1][-1])
@@ -479,13 +427,3 @@ def test_a_sample_without_errors_is_corrected_no_more_than_fourfold(waved):
     errors = np.asarray(sampled.hard().losses(sampled.hard().subject).errors)
     corrected = sampled.corrected(jnp.asarray(errors * [1e-3, 1e3]))
     assert [float(problem.factor) for problem in corrected.problems] == [0.25, 4.0]
-
-
-@pytest.mark.exhaustive
-def test_a_fit_to_a_sample_ends_near_that_to_all(views):
-    whole, part = fitted(views[:1]), fitted(twice(views[0]), search=FEW)
-    assert part.fitted["filter.radius"] == pytest.approx(whole.fitted["filter.radius"], abs=0.3)
-    # The judge sees all pixels.
-    at = with_values(disk(), NAMES, jnp.array([part.fitted[name] for name in NAMES]))
-    error = float(views[0].mean_square_error(at))
-    assert part.phases[part.chosen].hard_loss == pytest.approx(error, rel=1e-4)

@@ -2,7 +2,6 @@
 
 import dataclasses
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -63,20 +62,3 @@ def test_a_pose_moves_the_eye_and_changes_the_field_of_view():
     assert float(moved.fov_y) == 30
     # The target stays as far away as it was.
     np.testing.assert_allclose(np.linalg.norm(moved.target - moved.eye), np.linalg.norm(np.subtract(EYE, TARGET)))
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("name", ["pinhole", "matrix"])
-def test_a_point_in_the_image_moves_by_its_closed_form_as_the_camera_turns(name):
-    """A pinhole camera's point (x, y, -d) moves by y: dx/dθ = (d² + x²) / d² · f for a turn to the left, at the middle
-    by f, with f the focal length in clip space."""
-    camera = CAMERAS[name]
-    middle = jnp.asarray(camera.target)
-
-    def across(degrees):
-        pose = dataclasses.replace(camera.pose(), turn=Vector(0.0, degrees, 0.0))
-        clip = camera.at(pose).view().matrix @ jnp.append(middle, 1)
-        return clip[0] / clip[3]
-
-    focal = float(camera.projection()[0, 0])
-    np.testing.assert_allclose(jax.grad(across)(0.0), np.deg2rad(focal), rtol=1e-4)

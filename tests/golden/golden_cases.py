@@ -91,9 +91,3 @@ def golden_case(name: str) -> GoldenCase:
             winner_24=stored["winner_24"].astype(np.int32),
             depth_24=stored["depth_24"],
         )
-
-
-def golden_lookups() -> dict[str, np.ndarray]:
-    """OpenGL's shadow look-ups; `golden/_lookup.py` says what the arrays are."""
-    with np.load(FOLDER / "lookup.npz") as stored:
-        return dict(stored)

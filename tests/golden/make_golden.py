@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 import trimesh
-from _lookup import draw_lookups
 from _opengl import OpenGL, State
 
 FOLDER = Path(__file__).parent
@@ -215,7 +214,6 @@ def main() -> None:
             depth_24=as_unorm.depth,
         )
         print(f"{scene.name}: {len(faces)} faces, {np.mean(as_float.winner >= 0):.0%} of {scene.resolution} covered")
-    np.savez_compressed(FOLDER / "lookup.npz", **draw_lookups(gl))
     total = sum(path.stat().st_size for path in FOLDER.glob("*.npz"))
     print(f"{gl.renderer}, OpenGL {gl.version}: {total / 1e6:.2f} MB in {FOLDER}")
 

@@ -24,11 +24,10 @@ HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parents[1] / "experiments"))
 
 from _babylon_cases import babylon_cases  # noqa: E402
-from _engine_rules import follows  # noqa: E402
 from _engine_scene import geometry  # noqa: E402
 from _three_cases import three_cases  # noqa: E402
 from engines.engines import Drawing, draw  # noqa: E402
-from golden_engines import FOLDER, VISIBILITY_STEPS, engine_golden, pack, unpack  # noqa: E402
+from golden_engines import FOLDER, VISIBILITY_STEPS, pack, unpack  # noqa: E402
 
 CASES = {"three": three_cases, "babylon": babylon_cases}
 OUTPUTS = ["mesh", "position", "normal", "map"]
@@ -93,9 +92,6 @@ def main() -> None:
         store(engine, cases, drawings)
         size = sum(path.stat().st_size for path in FOLDER.glob(f"{engine}.*"))
         print(f"{engine} {drawings[0].info['version']}: {len(cases)} pictures, {size / 1e3:.0f} kB")
-        unexplained = [name for name in cases if not follows(engine_golden(engine, name))]
-        if unexplained:
-            sys.exit(f"{engine}: {', '.join(unexplained)}: not what the rules of _engine_rules.py make of their maps")
 
 
 if __name__ == "__main__":

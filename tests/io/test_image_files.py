@@ -254,9 +254,8 @@ def test_png_of_another_shape_or_place_is_refused(tmp_path):
 # Whole-or-nothing writes
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
-def test_image_that_cannot_be_written_leaves_the_old_one(suffix, tmp_path, monkeypatch):
-    path = tmp_path / f"old{suffix}"
+def test_image_that_cannot_be_written_leaves_the_old_one(tmp_path, monkeypatch):
+    path = tmp_path / "old.png"
     write_visibility(path, RAMP)
     before = path.read_bytes()
 
@@ -264,7 +263,7 @@ def test_image_that_cannot_be_written_leaves_the_old_one(suffix, tmp_path, monke
         file.write_bytes(b"half")
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("diffshadow.io._images._WRITERS", {suffix: breaks_off})
+    monkeypatch.setattr("diffshadow.io._images._WRITERS", {".png": breaks_off})
     with pytest.raises(FileError, match="No space left on device"):
         write_visibility(path, RAMP)
     assert path.read_bytes() == before

@@ -86,18 +86,6 @@ def test_order_of_rows_and_columns_does_not_matter():
         assert mean == pytest.approx(errors.mean(), abs=1e-6)
 
 
-def test_only_the_mask_counts():
-    reference, picture, mask = shaded(1.0), shaded(0.8), np.zeros((24, 32), bool)
-    mask[:, 12:] = True
-    mean, errors = flip(picture, reference, mask)
-    assert not errors[~mask].any()
-    assert mean == pytest.approx(errors[mask].mean(dtype=np.float64), rel=1e-12)
-    assert mean > errors.mean(dtype=np.float64)
-    # What the picture holds elsewhere has no effect, not even on its neighbours.
-    assert flip(np.where(mask[..., None], picture, 0), reference, mask)[0] == mean
-    assert flip(np.where(mask[..., None], picture, reference), reference)[1][mask] == pytest.approx(errors[mask])
-
-
 @pytest.mark.parametrize(
     ("picture", "reference", "mask", "message"),
     [

@@ -83,38 +83,6 @@ def test_soups_of_every_kind_see_the_nearest_face(seed):
         assert (depth[face < 0] == 1).all()
 
 
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("cull", ["back", "front"])
-@settings(deadline=None, max_examples=4)
-@given(seed=seeds)
-def test_culled_soups_see_the_nearest_face_that_is_left(cull, seed):
-    for k in range(SOUPS_AN_EXAMPLE):
-        clip, _ = soup(np.random.default_rng([seed, k]), COUNT, RESOLUTION)
-        exact = rasterize_exact(clip, FACES, RESOLUTION, cull)
-        assert_explained(draw_culled(clip, cull=cull)[0], exact, f"soup {k} of {seed}")
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("resolution", [(8, 8), (17, 5), (96, 64)])
-def test_soups_at_other_resolutions_see_the_nearest_face(resolution):
-    for k in range(40):
-        clip, _ = soup(np.random.default_rng([7, k]), COUNT, resolution)
-        exact = rasterize_exact(clip, FACES, resolution)
-        assert_explained(draw(clip, resolution=resolution)[0], exact, f"soup {k}")
-
-
-def test_rounding_decides_few_pixels_of_soups():
-    covered = different = 0
-    for k in range(100):
-        clip, _ = soup(np.random.default_rng([3, k]), COUNT, RESOLUTION)
-        face, _ = draw(clip)
-        exact = rasterize_exact(clip, FACES, RESOLUTION)
-        covered += np.sum(exact.face >= 0)
-        different += np.sum(face != exact.face)
-    assert covered > 25_000
-    assert different < 5e-4 * covered, f"{different} of {covered} pixels differ"
-
-
 def test_depth_of_unclipped_soups_is_that_of_their_planes():
     for k in range(100):
         clip, kinds = soup(np.random.default_rng([5, k]), COUNT, RESOLUTION)
@@ -252,17 +220,6 @@ def test_what_lies_behind_the_nearest_face_is_the_second_nearest(seed):
     assert (second >= 0).any()
 
 
-@pytest.mark.exhaustive
-def test_second_nearest_faces_and_equal_depths_without_culling():
-    clip, _ = soup(np.random.default_rng([19, 0]), COUNT, RESOLUTION)
-    first, _ = draw(clip, depth_test=LESS_EQUAL)
-    layers = rasterize_exact(clip, FACES, RESOLUTION).layers
-    assert acceptable(first, layers).all()
-    second, _ = draw(clip, behind=jnp.asarray(first))
-    passed = np.arange(COUNT)[:, None, None] == first
-    assert acceptable(second, layers._replace(inside=layers.inside & ~passed)).all()
-
-
 VIEW_FILLING = np.array([[-1, -1, 0, 1], [3, -1, 0, 1], [-1, 3, 0, 1]], np.float32)
 
 
@@ -341,9 +298,6 @@ def test_meshes_and_small_images_of_like_size_share_a_program():
             assert (face >= 0).all()
     # None if another test has drawn such an image before.
     assert sum("_shared" in name for name in compiled) <= 1
-
-
-ONE = np.array([[0, 1, 2]])
 
 
 def window_triangles(*sides):

@@ -1,8 +1,6 @@
 """Interpolation over what was drawn, and its derivatives, against float64."""
 
 import functools
-from collections.abc import Callable
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -16,11 +14,9 @@ from scenes import marked
 from triangle_soups import from_window, soup
 
 from diffshadow.geometry import (
-    DirectionalLight,
     Mesh,
     OrthographicCamera,
     PinholeCamera,
-    SpotLight,
     library_mesh,
     merge,
 )
@@ -228,48 +224,6 @@ def test_depth_of_thin_and_edge_on_faces_has_finite_gradients():
 # Derivatives
 
 
-class Case(NamedTuple):
-    """A parameter of the scene, and the view and the vertices that follow from it."""
-
-    name: str
-    parameter: tuple[float, ...]
-    view_and_vertices: Callable
-
-
-def _camera(**changes):
-    settings = {"eye": CAMERA.eye, "target": CAMERA.target, "near": 0.5, "far": 8.0, "resolution": RESOLUTION}
-    return PinholeCamera(**(settings | changes)).view()
-
-
-def _directional(direction):
-    light = DirectionalLight(direction, (0.3, 0.2, 0.0), (3.4, 3.0), -4.0, 4.0)
-    return light.view()
-
-
-def _moved(offset):
-    """One corner of the box, one of the sphere and one of the floor, along three axes."""
-    vertices = jnp.asarray(MESH.vertices, offset.dtype)
-    # The first corners of a face of each that the camera sees.
-    return vertices.at[jnp.asarray(MOVED)].add(jnp.diag(offset))
-
-
-MOVED = (2, 20, len(MESH.vertices) - 1)
-CASES = [
-    Case(
-        "vertices and light's position",
-        (0.0, 0.0, 0.0, 1.2, 2.6, 1.9),
-        lambda p: (SpotLight(p[3:], (-0.9, -2.4, -1.7), 40.0, 0.8, 8.0).view(), _moved(p[:3])),
-    ),
-    Case(
-        "eye and target",
-        (1.9, 1.6, 2.2, 0.3, 0.3, 0.1),
-        lambda p: (_camera(eye=p[:3], target=p[3:]), MESH.vertices),
-    ),
-    Case("light's direction", (-0.5, -1.0, -0.6), lambda p: (_directional(p), MESH.vertices)),
-]
-FOR_ALL = [pytest.param(case, id=case.name) for case in CASES]
-
-
 def clip_of(case, parameter):
     view, vertices = case.view_and_vertices(parameter)
     return view.clip(vertices), vertices
@@ -303,53 +257,6 @@ def differences(case, step=1e-5):
     return np.stack(slopes, axis=-1), same
 
 
-@functools.cache
-def both_ways(number):
-    """Derivatives (h, w, 5, p) of a case's maps, and those (p,) of their sum by these weights (h, w, 5)."""
-    case, parameter = CASES[number], jnp.array(CASES[number].parameter)
-    face = rasterize(clip_of(case, parameter)[0], MESH.faces, RESOLUTION).face
-    weights = np.random.default_rng(1).normal(size=(*RESOLUTION, 5)).astype(np.float32)
-
-    # Both in one program, so that what they share is compiled once.
-    @jax.jit
-    def both(face, p):
-        of_parameter = lambda p: maps(case, face, p)
-        return jax.jacfwd(of_parameter)(p), jax.vjp(of_parameter, p)[1](weights)[0]
-
-    forward, pulled = both(face, parameter)
-    return np.asarray(forward), np.asarray(pulled), weights
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("case", FOR_ALL)
-def test_derivatives_are_those_of_float64_differences(case):
-    slopes, same = differences(case)
-    forward, _, _ = both_ways(CASES.index(case))
-    assert same.sum() > 200
-    assert np.isfinite(forward).all()
-    # In magnitude: every pixel to 0.1 % of its own gradient, but for rounding of the largest. Of each place by itself.
-    for first in range(0, len(case.parameter), 3):
-        got, expected = (values[same][..., first : first + 3] for values in (forward, slopes))
-        for k, name in enumerate(("depth", "visible depth", "x", "y", "z")):
-            scale = np.abs(expected[:, k]).max()
-            if name == "y" and scale < 1e-9:
-                continue
-            size = np.linalg.norm(expected[:, k], axis=-1)
-            error = np.linalg.norm(got[:, k] - expected[:, k], axis=-1)
-            assert scale > 1e-3, f"{case.name}: {name} does not depend on the parameter, so this tests nothing"
-            assert (error <= 1e-3 * size + 2e-5 * scale).all(), f"{case.name}: {name} is off by {error.max():.2e}"
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("case", FOR_ALL)
-def test_reverse_mode_equals_forward_mode(case):
-    forward, pulled, weights = map(to_numpy, both_ways(CASES.index(case)))
-    tangent = np.random.default_rng(2).normal(size=len(pulled))
-    pushed = forward @ tangent
-    a, b = np.sum(weights * pushed), np.sum(pulled * tangent)
-    assert abs(a - b) <= 1e-5 * np.sum(np.abs(weights * pushed)), (a, b)
-
-
 # Surfaces
 
 
@@ -372,42 +279,3 @@ def test_the_surface_of_a_plane_lies_on_it_and_faces_the_camera():
         row, column = np.nonzero(seen)
         window = (clip[seen][:, :2] / clip[seen][:, 3:] * 0.5 + 0.5) * [width, height]
         np.testing.assert_allclose(window, np.stack([column, row], axis=-1) + 0.5, atol=0.01)
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("camera_type", [PinholeCamera, OrthographicCamera])
-def test_the_surface_of_a_sphere_lies_on_it_and_faces_the_camera(camera_type):
-    radius = 0.5
-    eye = np.array([1.0, 1.2, 1.4])
-    centre = np.array([0, radius, 0])
-    view = {"height": 1.2} if camera_type is OrthographicCamera else {"fov_y": 35.0}
-    camera = camera_type(eye, centre, near=0.2, far=6.0, resolution=RESOLUTION, **view)
-    surface = draw_surface(library_mesh("sphere", radius=radius, subdivisions=3), camera)
-    seen = np.asarray(surface.mask)
-    np.testing.assert_array_equal(seen, np.asarray(surface.face) >= 0)
-    assert seen.sum() > 150
-    outwards = to_numpy(surface.position)[seen] - centre
-    distance = np.linalg.norm(outwards, axis=-1)
-    # 1280 facets lie below the sphere by less than 0.9 % of its radius.
-    assert ((distance < radius * (1 + 1e-5)) & (distance > radius * 0.991)).all()
-    unit = outwards / distance[:, None]
-    for normal, cosine in ((surface.normal, 0.992), (surface.shading_normal, 0.9999)):
-        normal = to_numpy(normal)[seen]
-        np.testing.assert_allclose(np.linalg.norm(normal, axis=-1), 1, atol=1e-5)
-        assert (np.sum(normal * unit, axis=-1) > cosine).all()
-    towards = eye - to_numpy(surface.position)[seen] if camera_type is PinholeCamera else eye - centre
-    assert (np.sum(to_numpy(surface.normal)[seen] * towards, axis=-1) >= 0).all()
-    np.testing.assert_allclose(np.asarray(surface.albedo)[seen], 0.8, rtol=1e-6)
-
-
-@pytest.mark.exhaustive
-def test_a_surface_carries_gradients_of_its_vertices():
-    @jax.jit
-    @jax.grad
-    def gradient(vertices):
-        mesh = eqx.tree_at(lambda m: m.vertices, MESH, vertices)
-        return jnp.sum(draw_surface(mesh, CAMERA).position[..., 1])
-
-    found = np.asarray(gradient(MESH.vertices))
-    assert np.isfinite(found).all()
-    assert np.abs(found).max() > 1

@@ -76,39 +76,6 @@ def test_a_jittered_grid_covers_every_pixel_once(seed, to_centres, turned):
     np.testing.assert_array_equal(coverage(clip, faces), 1)
 
 
-def fan(centre, radius, spokes):
-    """Corners of a closed fan: the centre, then a rim of all whole slopes, on pixel centres."""
-    side = range(-radius, radius + 1, spokes)
-    rim = [(x, y) for x in side for y in (-radius, radius)] + [(x, y) for x in (-radius, radius) for y in side]
-    rim = np.array(sorted(set(rim), key=lambda p: np.arctan2(p[1], p[0])), float)
-    return np.concatenate([[[0, 0]], rim]) + centre
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("turned", [False, True])
-@pytest.mark.parametrize("whole", [True, False])
-def test_a_fan_round_a_pixel_centre_covers_every_pixel_once(turned, whole):
-    corners = fan((24.5, 16.5), 12, 4)
-    count = len(corners) - 1
-    if not whole:
-        # Off the centres, where no edge but by chance meets one.
-        corners = corners + np.random.default_rng(5).uniform(-0.4, 0.4, corners.shape)
-    k = np.arange(count)
-    faces = np.stack([0 * k, 1 + k, 1 + (k + 1) % count], axis=1).astype(np.int32)
-    faces = faces[:, ::-1] if turned else faces
-    clip = from_window(corners, np.linspace(0.2, 0.8, len(corners)), np.ones(len(corners)), RESOLUTION)
-    hits = coverage(clip, faces)
-    assert hits.max() == 1
-    inner = np.zeros(RESOLUTION, bool)
-    inner[6:28, 14:36] = True
-    assert (hits[inner] == 1).all()
-    if whole:
-        # Of its outline, the left and bottom edges own their centres.
-        expected = np.zeros(RESOLUTION, int)
-        expected[4:28, 12:36] = 1
-        np.testing.assert_array_equal(hits, expected)
-
-
 _clip = eqx.filter_jit(lambda camera, vertices: camera.view().clip(vertices))
 
 
@@ -125,16 +92,3 @@ def test_a_closed_mesh_round_the_eye_covers_every_pixel_once(seed):
     eye = rng.uniform(-0.2, 0.2, 3)
     camera = PinholeCamera(eye, eye + rng.normal(size=3), fov_y=rng.uniform(30, 110), near=0.01, far=100.0)
     np.testing.assert_array_equal(coverage(_clip(camera, stretched), mesh.faces), 1)
-
-
-@pytest.mark.exhaustive
-def test_both_halves_of_a_fine_mesh_cover_what_the_whole_covers():
-    mesh = library_mesh("torus", segments=48, sides=24)
-    camera = PinholeCamera((0.7, 0.6, 0.8), (0.0, 0.1, 0.0), near=0.05, far=4.0)
-    clip, resolution, whole = _clip(camera, np.asarray(mesh.vertices)), (64, 64), np.asarray(mesh.faces)
-    first = np.arange(len(whole)) % 2 == 0
-    halves = [np.where(side[:, None], whole, 0) for side in (first, ~first)]
-    draw = lambda faces: rasterize(clip, jnp.asarray(faces), resolution, cull="back").face
-    seen = [np.asarray(draw(faces)) >= 0 for faces in (*halves, whole)]
-    np.testing.assert_array_equal(seen[0] | seen[1], seen[2])
-    assert np.sum(seen[2]) > 500

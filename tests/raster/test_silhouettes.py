@@ -260,11 +260,3 @@ def test_open_mesh_turned_to_the_light_has_silhouettes_of_multiplicity_one_and_t
     multiplicity = np.abs(find(roof, sides)[0].multiplicity)
     assert sorted(multiplicity[:5].tolist()) == [1, 1, 1, 1, 2]
     assert not multiplicity[5:].any()
-
-
-def test_finders_run_plain_and_alike():
-    mesh = piece("box")
-    edges, faces, sides = Edges.of(mesh), jnp.asarray(share_vertices(mesh)), light_sides(mesh, LAMP)
-    np.testing.assert_array_equal(sides, sides_of(mesh, LAMP))
-    plain = total(silhouettes_by_adjacency(edges, sides)), total(silhouettes_by_cancelling(faces, sides))
-    assert plain == both(mesh, sides)

@@ -234,12 +234,6 @@ def test_gradients_are_finite_everywhere(model, light, where):
     assert all(np.isfinite(np.asarray(leaf)).all() for leaf in jax.tree.leaves(gradients))
 
 
-def test_gradient_by_visibility_is_the_light_s_share():
-    phong, at = Phong(ambient=0.2, intensity=0.5, specular=0.1), surface()
-    light = jax.grad(lambda v: jnp.sum(phong(at, v, sun(), camera())))(jnp.ones((1, 1)))
-    assert float(light[0, 0]) == pytest.approx(0.5 * (sum(ALBEDO) + 3 * 0.1), rel=1e-6)
-
-
 @pytest.mark.parametrize(
     ("make", "said"),
     [

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scenes import LIGHTS, floor_and_card, quad, seen_by, side_camera
 
-from diffshadow.geometry import DirectionalLight, MatrixLight, OrthographicCamera, PinholeCamera
+from diffshadow.geometry import DirectionalLight, PinholeCamera
 from diffshadow.metrics import measure_aliasing
 from diffshadow.shadow import Aliasing, ShadowMap, aliasing
 
@@ -42,45 +42,6 @@ def test_texels_on_a_plane_under_light_from_above_have_their_closed_form():
     np.testing.assert_allclose(
         np.asarray(found.extent)[mask], np.linalg.svd(expected, compute_uv=False)[:, 0], rtol=1e-4
     )
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("light", [pytest.param("directional", marks=pytest.mark.exhaustive), "spot"])
-def test_a_map_drawn_from_the_cameras_own_view_matches_it(light):
-    # With twice as many texels as pixels along each side, a texel is half a pixel wide on any surface.
-    mesh = floor_and_card()
-    if light == "spot":
-        camera = side_camera(SIZE)
-    else:
-        camera = OrthographicCamera((2.2, 2.6, 3.2), (0, 0.3, 0), height=5.0, near=0.1, far=12.0, resolution=SIZE)
-    view = camera.view()
-    shadow_map = map_from(MatrixLight(view.world_to_eye, view.eye_to_clip), (128, 128))
-    found = aliasing(shadow_map, seen_by(camera, mesh), camera)
-    mask = np.asarray(found.mask)
-    assert mask.mean() > 0.3
-    for jacobian in (found.jacobian, found.perspective):
-        np.testing.assert_allclose(
-            np.asarray(jacobian)[mask], 0.5 * np.eye(2) + np.zeros((mask.sum(), 2, 2)), atol=1e-5
-        )
-
-
-@pytest.mark.exhaustive
-def test_perspective_and_projection_are_factors():
-    # A wall that the light grazes: its texels are long on the screen, but not because of perspective.
-    wall = quad((0, 0, 0), (2, 0, 0), (0, 2, 0))
-    camera = OrthographicCamera((0, 0, 5), (0, 0, 0), height=3.0, near=0.1, far=9.0, resolution=SIZE)
-    steepness = 0.1
-    light = DirectionalLight((1, 0, -steepness), (0, 0, 0), (6.0, 6.0), -5, 5)
-    found = aliasing(map_from(light), seen_by(camera, wall), camera)
-    mask, texel = np.asarray(found.mask), 6.0 / 64 * 64 / 3.0
-    assert mask.mean() > 0.9
-    sine = steepness / np.hypot(1, steepness)
-    np.testing.assert_allclose(np.asarray(found.extent)[mask], texel / sine, rtol=1e-4)
-    np.testing.assert_allclose(np.asarray(found.least_extent)[mask], texel, rtol=1e-4)
-    np.testing.assert_allclose(np.asarray(found.perspective_extent)[mask], texel, rtol=1e-4)
-    # A surface that leans as much to either has texels of the same area in both views.
-    np.testing.assert_allclose(np.abs(np.linalg.det(np.asarray(found.perspective)[mask])), texel**2, rtol=1e-4)
-    np.testing.assert_allclose(np.asarray(found.projection_extent)[mask], 1 / sine, rtol=1e-4)
 
 
 def test_only_surfaces_in_the_map_that_face_the_light_are_measured():

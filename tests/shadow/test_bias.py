@@ -1,6 +1,5 @@
 """Biases: their units, their profiles, their gradients, and that several add up."""
 
-import functools
 import itertools
 
 import equinox as eqx
@@ -8,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import LIGHTS, drawn, floor_and_card, lamp, problem, slopes_of_loss, sun
+from scenes import LIGHTS, drawn, floor_and_card, lamp, sun
 
 from diffshadow import shadow
 from diffshadow._arithmetic import as_float, at_least, at_most
@@ -18,9 +17,7 @@ from diffshadow.shadow import (
     AdaptiveBias,
     Bias,
     BiasTerms,
-    Bilinear,
     ConstantBias,
-    FourTap,
     LinearBias,
     NormalOffset,
     Pattern,
@@ -28,7 +25,6 @@ from diffshadow.shadow import (
     Receiver,
     ReceiverPlane,
     ShadowMap,
-    ShadowMapping,
     SlopeBias,
     SoftCompare,
     look_up,
@@ -452,104 +448,6 @@ def test_grazing_receivers_have_a_large_slope_but_no_endless_one():
     steepness = np.linalg.norm(np.asarray(seen(shadow_map, surface).slope), axis=-1)
     extent = np.asarray(shadow_map.light.extent)
     np.testing.assert_allclose(steepness, 100 * extent[1] / np.sqrt(extent.prod()), rtol=1e-3)
-
-
-def network_of(weights):
-    made = PerceptronBias.correcting(LinearBias(weights), (3,), seed=1)
-    return eqx.tree_at(lambda bias: bias.last, made, jnp.full(3, 0.2, made.last.dtype))
-
-
-STEP = 1e-5
-GRADIENTS = {
-    # What is fitted, by name, with its value: each bound holds back some of the receivers, and no other.
-    "tangent": (
-        lambda: Bias(ConstantBias(0.3), SlopeBias(0.5, least=0.25, most=0.33), NormalOffset(0.4)),
-        Bilinear,
-        ("bias.constant", "bias.slope.value", "bias.slope.least", "bias.slope.most", "bias.normal_offset"),
-    ),
-    "one_minus_cosine": (
-        lambda: Bias(
-            ConstantBias(3e-4, "depth"),
-            SlopeBias(0.01, "one_minus_cosine", least=1e-3, most=2e-3, unit="depth"),
-            NormalOffset(0.4, "one_minus_cosine"),
-            AdaptiveBias(0.2),
-        ),
-        Bilinear,
-        (
-            *("bias.constant", "bias.slope.value", "bias.slope.least", "bias.slope.most", "bias.normal_offset"),
-            "bias.plane.epsilon",
-        ),
-    ),
-    "perceptron": (
-        lambda: Bias(
-            normal_offset=0.3,
-            terms=network_of({"one": 0.3, "slope": 0.2, "sine": 0.1, "texel_size": 0.2, "distance": -0.3}),
-        ),
-        Bilinear,
-        (
-            *("bias.normal_offset", "bias.terms.weights.one", "bias.terms.weights.slope", "bias.terms.weights.sine"),
-            *("bias.terms.weights.texel_size", "bias.terms.weights.distance"),
-        ),
-    ),
-    "receiver_plane": (
-        lambda: Bias(normal_offset=NormalOffset(0.3, "constant"), plane=ReceiverPlane(0.4, 0.3, 0.5)),
-        lambda: FourTap(1.7),
-        ("bias.normal_offset", "bias.plane.fudge", "bias.plane.limit", "bias.plane.deepening"),
-    ),
-}
-
-
-@eqx.filter_jit
-def slopes_of_terms(bias, at, step):
-    """Everything that a bias says of receivers, and its derivative along `step`, a bias like it."""
-    numbers, rest = eqx.partition(bias, eqx.is_inexact_array)
-    steps, _ = eqx.partition(step, eqx.is_inexact_array)
-    terms = lambda numbers: jax.tree.leaves(eqx.combine(numbers, rest)(at))
-    return jax.jvp(terms, (numbers,), (steps,))
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("case", GRADIENTS)
-def test_terms_of_a_bias_follow_every_parameter(case):
-    with jax.enable_x64(True):
-        bias, _, names = GRADIENTS[case]
-        bias = jax.tree.map(lambda x: jnp.asarray(x, jnp.float64), bias())
-        # Some held by each bound.
-        at = receivers_at(np.linspace(1.0, 89.0, 60))
-        at = jax.tree.map(lambda x: jnp.asarray(x, jnp.float64) if eqx.is_inexact_array(x) else x, at)
-        still = jax.tree.map(jnp.zeros_like, bias)
-        for name in names:
-            path = name.removeprefix("bias.")
-            # A constant and an offset are known by their value.
-            path += "" if eqx.is_array(_named(bias, path)) else ".value"
-            part = functools.partial(_named, name=path)
-            one = lambda h, part=part: eqx.tree_at(part, still, jnp.asarray(h))
-            moved = lambda h, one=one: slopes_of_terms(jax.tree.map(jnp.add, bias, one(h)), at, one(1.0))
-            (low, _), (high, _), (_, found) = moved(-1e-7), moved(1e-7), moved(0.0)
-            expected = [(np.asarray(b) - np.asarray(a)) / 2e-7 for a, b in zip(low, high, strict=True)]
-            assert max(np.abs(e).max() for e in expected) > 1e-5
-            for slope, e in zip(found, expected, strict=True):
-                np.testing.assert_allclose(slope, e, rtol=1e-5, atol=1e-8)
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("case", GRADIENTS)
-def test_gradients_of_every_parameter_match_central_differences(case):
-    bias, kernel, names = GRADIENTS[case]
-    with jax.enable_x64(True):
-        known = problem(ShadowMapping(kernel(), bias(), SoftCompare(3.0)), "spot", image=64, texels=64)
-        at = np.array(
-            [float(jax.tree.leaves(eqx.filter(_named(known.technique, name), eqx.is_array))[0]) for name in names]
-        )
-        slopes, gradient, _ = slopes_of_loss(known, names, at, STEP * at)
-    assert (np.abs(slopes * at) > 1e-7).all()
-    np.testing.assert_allclose(gradient, slopes, rtol=0.01)
-
-
-def _named(module, name):
-    for part in name.split("."):
-        module = module[part] if isinstance(module, dict) else getattr(module, part)
-    return module
 
 
 def test_the_bias_for_a_filter_is_that_of_a_configuration():

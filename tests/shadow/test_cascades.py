@@ -5,9 +5,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import floor_and_card, jacfwd_and_value, quad, seen_by, side_camera, sun, surface_at
+from scenes import floor_and_card, quad, seen_by, side_camera, sun, surface_at
 
-from diffshadow._arithmetic import in_float64
 from diffshadow.geometry import (
     DirectionalLight,
     Edges,
@@ -20,7 +19,6 @@ from diffshadow.geometry import (
     merge,
 )
 from diffshadow.raster import draw_surface
-from diffshadow.reference import trace_visibility
 from diffshadow.shadow import (
     Bias,
     Bilinear,
@@ -35,7 +33,6 @@ from diffshadow.shadow import (
     ShadowMap,
     ShadowMapping,
     SingleMap,
-    SoftCompare,
     Tent,
     VarianceShadowMap,
     aliasing,
@@ -112,22 +109,6 @@ def test_slices_follow_the_practical_split_scheme():
     np.testing.assert_allclose(splits(Cascades(4, 0.3)), 0.3 * logarithmic + 0.7 * uniform, rtol=1e-6)
     for count in (1, 4, 8):
         assert splits(Cascades(count, 0.7))[[0, -1]].tolist() == [np.float32(NEAR), np.float32(FAR)]
-
-
-def test_logarithmic_slices_have_the_same_worst_error():
-    # Of fitted maps under a light across the view, the error along it is the slice's length over its nearest depth.
-    ends = splits(Cascades(4, 1.0))
-    np.testing.assert_allclose(np.diff(ends) / ends[:-1], (FAR / NEAR) ** 0.25 - 1, rtol=1e-5)
-
-
-@pytest.mark.exhaustive
-def test_given_slices_end_where_they_are_said_to():
-    layout = given_slices(2.0, 30.0)
-    light = layout.light(sun(posts()), along_corridor(), (GRID_TEXELS, GRID_TEXELS))
-    assert light.count == layout.count == 2
-    assert np.asarray(light.ends).tolist() == [2, 30]
-    layers = light.layer(jnp.asarray([[0, 1.7, -1.0], [0, 1.7, -4.0], [0, 1.7, -20.0], [0, 1.7, -99.0]]))
-    assert np.asarray(layers).tolist() == [0, 1, 1, 1]
 
 
 @pytest.mark.exhaustive
@@ -254,20 +235,6 @@ def scattered(seed=0):
 
 
 @pytest.mark.exhaustive
-def test_equal_shares_are_none():
-    # Thirds are not exact, and must not cost a texel.
-    for max_share, side in ((None, 64), (0.6, 85)):
-        layout = Cascades(3, shares=(0.3,) * 3, max_share=max_share)
-        assert layout.layer_resolution(SIZE) == (side, side)
-        assert np.asarray(layout.sides(SIZE)).tolist() == [[64, 64]] * 3
-    scene = Scene(posts(), along_corridor(), sun(posts(), (0.4, -1.0, 0.3)))
-    depth = np.asarray(mapping(cascades(0.7, shares=(2.0,) * 4)).prepare(scene).depth)
-    side = SHARED_TEXELS
-    np.testing.assert_array_equal(depth[:, :side, :side], mapping(cascades(0.7), texels=side).prepare(scene).depth)
-    assert depth[:, side:].min() == depth[:, :, side:].min() == 1
-
-
-@pytest.mark.exhaustive
 def test_cascades_with_shares_are_those_of_maps_of_their_size():
     # 64² + 16² + 32² + 32² texels are four times 40².
     side, surface, mesh = TEXELS, scattered(), posts()
@@ -343,24 +310,6 @@ def test_texels_stay_in_place_as_the_camera_moves(shares):
             assert np.ptp(before) > 1e-3
             # Triangles are the same. Where a texel's centre lies on one is rounded, unless sides are powers of two.
             np.testing.assert_allclose(before, after, rtol=0, atol=0 if shares is None else 4e-7)
-
-
-@pytest.mark.exhaustive
-def test_turning_the_camera_keeps_the_size_of_the_cascades():
-    first, *others = moved_maps(cascades(0.5), MOVES[:1], turn=0.7)
-    np.testing.assert_array_equal(others[0].light.scale, first.light.scale)
-    for layer in range(4):
-        np.testing.assert_array_equal(*overlap(first, others[0], layer))
-
-
-def test_cascades_that_are_not_stabilized_change_with_the_camera():
-    light = DirectionalLight((0.4, -1.0, 0.3), (0, 0, 0), (900.0, 900.0), -500.0, 500.0)
-    ahead, aside = (
-        PinholeCamera((0, 1.7, 0), target, fov_y=60.0, near=NEAR, far=FAR, resolution=SIZE)
-        for target in ((0, 1.2, -10), (7, 1.2, -7))
-    )
-    scales = [np.asarray(fitted(one_cascade(), light, camera, (TEXELS, TEXELS)).scale) for camera in (ahead, aside)]
-    assert np.abs(scales[1] / scales[0] - 1).max() > 0.01
 
 
 # --- No seams ---
@@ -519,35 +468,6 @@ def test_figures_of_cascades_show_what_receivers_are_looked_up_in(grid):
 
 
 @eqx.filter_jit
-def _mean_and_slopes(technique, state, surface, values):
-    """A weighted sum of visibilities by blend, bias and radius, and its derivatives."""
-
-    def mean(values):
-        parts = lambda one: (one.layout.blend, one.bias.constant.value, one.filter.radius)
-        changed = eqx.tree_at(parts, technique, tuple(values))
-        weights = jnp.cos(jnp.arange(surface.mask.size).reshape(surface.mask.shape))
-        return jnp.sum(weights * changed.visibility(state, surface))
-
-    slopes, value = jacfwd_and_value(mean)(values)
-    return value, slopes
-
-
-@pytest.mark.exhaustive
-def test_blend_bias_and_radius_have_the_right_derivatives(grid_map):
-    rng = np.random.default_rng(0)
-    points = np.stack([rng.uniform(-2, 2, SIZE), np.zeros(SIZE), -rng.uniform(5, 9, SIZE)], axis=-1)
-    technique = ShadowMapping(RandomDisk(1.3), Bias(0.7), SoftCompare(2.0), layout=given_slices(8.0, 30.0, blend=0.2))
-    with jax.enable_x64(True):
-        given = (*in_float64((technique, grid_map)), surface_at(points, (0, 1, 0)))
-        values = np.array([0.2, 0.7, 1.3])
-        found = lambda values: [np.asarray(x) for x in _mean_and_slopes(*given, jnp.asarray(values))]
-        _, gradient = found(values)
-        differences = [(found(values + d)[0] - found(values - d)[0]) / 2e-6 for d in 1e-6 * np.eye(3)]
-    assert min(np.abs(differences)) > 1e-2
-    np.testing.assert_allclose(gradient, differences, rtol=1e-3)
-
-
-@eqx.filter_jit
 def _biases(shadow_map, surface, factors):
     """What constant, slope and normal offset add up to, and what a receiver plane does, with factors; and without."""
     at = receiver(shadow_map, surface)
@@ -574,31 +494,6 @@ def test_factors_scale_the_bias_of_each_cascade(grid_map):
 
 
 # --- Against rays ---
-
-
-@pytest.mark.exhaustive
-def test_four_small_cascades_beat_one_large_map():
-    mesh = posts(16)
-    scene = Scene(mesh, along_corridor((192, 192)), sun(mesh, (0.5, -1.0, -0.4)))
-    surface, truth = draw_surface(scene.mesh, scene.camera), trace_visibility(scene, 1, "sobol", 0)
-    error = {}
-    for name, layout, texels in (("plain", SingleMap(), 1024), ("cascades", Cascades(4, 0.9, blend=0.1), 512)):
-        technique = mapping(layout, Nearest(), texels)
-        visibility = np.asarray(technique.visibility(technique.prepare(scene, surface), surface))
-        counted = np.asarray(surface.mask) & truth.mask
-        error[name] = np.sqrt(np.mean((visibility - truth.visibility)[counted] ** 2))
-    assert error["cascades"] < 0.6 * error["plain"]
-
-
-@pytest.mark.exhaustive
-def test_cascades_lower_the_aliasing():
-    mesh = posts()
-    scene = Scene(mesh, along_corridor(), sun(mesh, (0.5, -1.0, -0.4)))
-    surface = seen_by(scene.camera, mesh)
-    # Which layers a point is looked up in is the light's to say.
-    of = lambda layout: aliasing(mapping(layout).prepare(scene, surface), surface, scene.camera)
-    extents = [np.asarray(found.extent)[np.asarray(found.mask)] for found in (of(SingleMap()), of(cascades(0.9)))]
-    assert extents[1].max() < 0.3 * extents[0].max()
 
 
 # --- Mistakes ---

@@ -123,15 +123,6 @@ def test_border_is_lit_in_every_direction(name, compare):
     assert (lit[~outside] < (1 if compare == EXPONENTIAL else 0.5)).all()
 
 
-@pytest.mark.exhaustive
-@pytest.mark.parametrize(("name", "compare"), PAIRS)
-def test_empty_texels_never_darken(name, compare):
-    rng = np.random.default_rng(0)
-    lookup = lookups_at(rng.uniform(-3, 15, (9, 9)), rng.uniform(-3, 12, (9, 9)), rng.uniform(0, 1, (9, 9)))
-    lit = apply(FILTERS[name], map_of(np.ones((9, 12))), lookup, compare)
-    np.testing.assert_allclose(np.asarray(lit), 1, atol=2e-6)
-
-
 def test_nearest_and_bilinear_look_at_the_border_where_they_should():
     # Along both axes of a map that is not square, with as many look-ups as above.
     at = np.array([-0.51, -0.25, 0.0, 0.25, 0.5, 8.5, 8.75, 9.0, 9.25, 9.51, 11.5, 11.75, 12.0, 12.25, 12.51])

@@ -5,7 +5,7 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import apply, lookups_at, map_of, marked
+from scenes import apply, lookups_at, map_of
 from scipy.spatial.distance import pdist
 
 from diffshadow.shadow import (
@@ -108,10 +108,6 @@ def slope(found, counts=COUNTS):
     return np.polyfit(np.log(counts), np.log(found), 1)[0]
 
 
-# Points that keep to strata err at the edge alone, which crosses √n of n strata: n^(1/4) / n.
-SLOPES = {"stratified": -0.75, "vogel": -0.75, "sobol": -0.75, "halton": -0.72, "poisson_disk": -0.6}
-
-
 @pytest.mark.parametrize("occluder", OCCLUDERS)
 def test_monte_carlo_converges_as_the_root_of_samples(occluder):
     found = errors("uniform", occluder)
@@ -120,16 +116,6 @@ def test_monte_carlo_converges_as_the_root_of_samples(occluder):
     if occluder == "disk":
         # A binomial's standard deviation.
         np.testing.assert_allclose(found, np.sqrt(0.36 * 0.64 / np.array(COUNTS)), rtol=0.1)
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("occluder", marked(OCCLUDERS, ["disk"]))
-@pytest.mark.parametrize("name", SLOPES)
-def test_even_patterns_converge_faster(name, occluder):
-    found = errors(name, occluder)
-    assert slope(found) < -0.55
-    assert slope(found) == pytest.approx(SLOPES[name], abs=0.08)
-    assert found[-1] < 0.5 * np.sqrt(0.25 / COUNTS[-1])
 
 
 @pytest.mark.exhaustive

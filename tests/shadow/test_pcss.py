@@ -9,43 +9,30 @@ import numpy as np
 import pytest
 from scenes import (
     apply,
-    covered,
     lookups_at,
-    map_of,
     marked,
     problem,
-    quad,
     random_lookups,
     random_map,
     shadows,
-    slopes_of_loss,
     technique,
 )
 
 from diffshadow.geometry import (
     DirectionalLight,
-    OrthographicCamera,
-    PinholeCamera,
     PointLight,
     RectangleLight,
-    Scene,
     SpotLight,
-    merge,
 )
-from diffshadow.raster import Surface, draw_surface
-from diffshadow.reference import trace_visibility
+from diffshadow.raster import Surface
 from diffshadow.shadow import (
-    Bilinear,
     ConstantBias,
     HardCompare,
-    Lookup,
     PercentageCloserSoft,
     RandomDisk,
-    ReceiverPlane,
     ShadowMap,
     ShadowMapping,
     SoftCompare,
-    draw_shadow_map,
     stratified,
 )
 from diffshadow.shadow.filters._pcss import half_width_of
@@ -113,20 +100,6 @@ def test_penumbra_grows_as_the_blocker_rises(light):
     light = LIGHTS[light]
     for height in (0.7, 2.0):
         check_penumbra(light, height, HARD, *half_plane_over_floor(light, height))
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize(("light", "compare"), [("point", HARD), ("directional", SoftCompare(0.5))])
-def test_penumbra_of_a_drawn_map_grows_as_the_blocker_rises(light, compare):
-    light = LIGHTS[light]
-    for height in (0.7, 2.0):
-        # Seen by a long row of pixels.
-        mesh = merge([quad((0, 0, 0), (3, 0, 0), (0, 0, -3)), quad((-1.5, height, 0), (1.5, 0, 0), (0, 0, -3))])
-        camera = OrthographicCamera(
-            (0, height / 2, 0), (0, 0, 0), (0, 0, -1), height=0.03, near=1e-3, far=height, resolution=(24, 800)
-        )
-        surface, shadow_map = draw_surface(mesh, camera), draw_shadow_map(mesh, light, (512, 512))
-        check_penumbra(light, height, compare, shadow_map, surface, np.asarray(surface.position[0, :, 0]))
 
 
 @eqx.filter_jit
@@ -221,87 +194,3 @@ def test_one_radius_for_all_is_the_random_disk(compare):
     soft = PercentageCloserSoft(89.0, pattern, pattern, min_radius=2.0, max_radius=2.0)
     found = apply(soft, shadow_map, lookup, compare)
     np.testing.assert_allclose(found, apply(RandomDisk(2.0, pattern), shadow_map, lookup, compare), atol=2e-5)
-
-
-@pytest.mark.exhaustive
-def test_lights_without_size_and_empty_maps():
-    rng = np.random.default_rng(6)
-    shadow_map, lookup = random_map(rng), random_lookups(rng)
-    pattern = stratified((4, 4))
-    point = apply(PercentageCloserSoft(None, pattern, pattern), shadow_map, lookup, HARD)
-    np.testing.assert_allclose(point, apply(Bilinear(), shadow_map, lookup, HARD), atol=1e-6)
-    large, empty = PercentageCloserSoft(30.0, pattern, pattern), map_of(np.ones((11, 14)))
-    np.testing.assert_array_equal(apply(large, empty, lookup, HARD), 1)
-    np.testing.assert_array_equal(apply(large, empty, lookup, SoftCompare(0.5)), 1)
-    wholly, shape = map_of(np.full((11, 14), 0.1)), lookup.depth.shape
-    inner = lookups_at(rng.uniform(5, 9, shape), rng.uniform(5, 6, shape))
-    narrow = PercentageCloserSoft(30.0, pattern, pattern, max_radius=4.0)
-    np.testing.assert_array_equal(apply(narrow, wholly, inner, HARD), 0)
-
-
-POLE = merge(
-    [
-        quad((0, 0, 0), (3, 0, 0), (0, 0, -3)),
-        *(
-            quad(np.array([s * a, 1.5, s * (0.1 - a)]), (0.1 - a, 0, a), (0, 1.5, 0))
-            for a in (0.0, 0.1)
-            for s in (-1, 1)
-        ),
-    ]
-)
-
-
-@pytest.mark.exhaustive
-def test_shadow_of_a_tall_pole_is_nearer_to_rays_than_with_any_one_radius():
-    light = SpotLight((-4, 5, -1), (4, -4, 1), outer_angle=40.0, near=2.0, far=12.0, radius=0.3)
-    camera = PinholeCamera((1.5, 6.0, 4.0), (0.8, 0, 0), fov_y=45.0, near=0.5, far=20.0, resolution=(80, 80))
-    reference = trace_visibility(Scene(POLE, camera, light), samples=128)
-    surface, shadow_map = draw_surface(POLE, camera), draw_shadow_map(POLE, light, (512, 512))
-    mapping = ShadowMapping(RandomDisk(), ReceiverPlane(deepening=0.0))
-    mask = np.asarray(covered(mapping, shadow_map, surface)) & reference.mask
-
-    def error(kernel):
-        seen = shadows(eqx.tree_at(lambda m: m.filter, mapping, kernel), shadow_map, surface)
-        return np.sqrt(np.mean((np.asarray(seen) - reference.visibility)[mask] ** 2))
-
-    fixed = {radius: error(RandomDisk(float(radius), stratified((8, 8)))) for radius in (0, 2, 3, 4, 5, 6, 8, 12)}
-    soft = error(PercentageCloserSoft(search=stratified((8, 8), seed=1), pattern=stratified((8, 8))))
-    # The best of them lies between the least and the greatest, so that no other would be better.
-    assert min(fixed, key=fixed.get) not in (0, 12)
-    assert soft < 0.6 * min(fixed.values())
-
-
-@pytest.mark.exhaustive
-def test_gradient_of_the_loss_matches_central_differences():
-    names = ("bias.constant", "bias.slope", "bias.normal_offset", "filter.light_size", "compare.width")
-    with jax.enable_x64(True):
-        size = 1.0
-        kernel = PercentageCloserSoft(size, stratified((2, 2), 4), stratified((2, 3), 4), 0.0, 8.0)
-        known = problem(technique(kernel, compare=SoftCompare(2.0)), "spot")
-        at = (0.9, 0.6, 0.4, size, 2.0)
-        slopes, forward, backward = slopes_of_loss(known, names, at, np.full(len(at), 1e-6), reverse=True)
-    assert (np.abs(slopes) > 1e-6).all()
-    np.testing.assert_allclose(forward, slopes, rtol=0.01)
-    np.testing.assert_allclose(forward, backward, rtol=1e-8)
-
-
-@eqx.filter_jit
-@eqx.filter_grad
-def slopes_of_sum(arguments):
-    shadow_map, lookup, size, width = arguments
-    kernel = PercentageCloserSoft(size, stratified((2, 2), 4), stratified((2, 2), 4), 0.0, 6.0)
-    return jnp.sum(kernel(shadow_map, lookup, SoftCompare(width)))
-
-
-@pytest.mark.exhaustive
-def test_no_gradient_is_nan_or_infinite():
-    rng = np.random.default_rng(8)
-    lookup = random_lookups(rng)
-    # Before the light, behind it, at the far plane and beyond.
-    depth = lookup.depth.at[0].set(-1.0).at[1].set(0.0).at[2].set(1.0).at[3].set(2.0)
-    for empty in (0.2, 1.0):
-        shadow_map = ShadowMap(random_map(rng, empty=empty).depth, LIGHTS["spot"])
-        for scale, width, size in ((1.0, 0.7, 5.0), (0.0, 1e-3, 0.0), (1e9, 100.0, 0.0), (1e30, 1.0, 40.0)):
-            moved = Lookup(jnp.round(lookup.texel) * scale, depth, lookup.depth_per_texel, lookup.inside)
-            found = slopes_of_sum((shadow_map, moved, jnp.float32(size), jnp.float32(width)))
-            assert all(np.isfinite(np.asarray(leaf)).all() for leaf in jax.tree.leaves(found))

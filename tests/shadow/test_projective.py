@@ -1,17 +1,13 @@
 """Projective texture shadows: the shadow of a square, its blur, what they do not darken, and their gradients."""
 
-import functools
-
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from scenes import floor_surface, quad, side_camera
 
 from diffshadow.geometry import DirectionalLight, OrthographicCamera, PointLight, Scene, SpotLight
-from diffshadow.raster import draw_surface, rasterize
-from diffshadow.shadow import ProjectiveShadow, ProjectiveTexture, _projective
+from diffshadow.raster import draw_surface
+from diffshadow.shadow import ProjectiveShadow, ProjectiveTexture
 
 DOWN = DirectionalLight((0, -1, 0), (0, 0, 0), (4, 4), -3, 3)
 """Straight down on a map 4 world units wide."""
@@ -132,50 +128,6 @@ def test_point_light_projects_as_a_spot_light_that_looks_the_same_way(floor):
     # The one texture may stand upside down.
     assert np.abs(images[0] - images[1]).max() < 1e-5 or np.abs(images[0] - images[1][::-1]).mean() < 0.01
     assert textures[1].coverage.shape[0] == 6
-
-
-@functools.cache
-def _compiled():
-    """Two sums of visibility by the blur, in texels, and a shift of the receivers; and their derivatives (2, 2) by
-    forward and by reverse mode. All by one program."""
-    surface = floor_surface(1.5, (24, 24))
-    drawn = rasterize(DOWN.view().clip_vertices(CARD.vertices), CARD.faces, (32, 32))
-
-    def sums(at):
-        technique = ProjectiveShadow((32, 32), at[0], max_blur=6.0)
-        texture = technique.prepare(scene_of(DOWN))
-        moved = eqx.tree_at(lambda s: s.position, surface, surface.position + at[1] * jnp.array([1.0, 0, 0.3]))
-        visibility = technique.visibility(texture, moved)
-        return jnp.stack([jnp.mean(visibility**2), jnp.mean(jnp.arange(24.0) * visibility)])
-
-    # Which texels are covered depends on neither, and need not be compiled.
-    return drawn, jax.jit(lambda at: (sums(at), jax.jacfwd(sums)(at), jax.jacrev(sums)(at)))
-
-
-def _slopes(number):
-    """Of all sums by one of the two: central differences, and derivatives by forward and by reverse mode."""
-    with jax.enable_x64(True), pytest.MonkeyPatch.context() as patch:
-        drawn, compiled = _compiled()
-        patch.setattr(_projective, "rasterize", lambda *_, **__: drawn)
-        middle, step = np.array([3.3, 0.01]), np.array([1e-4, 1e-5])[number]
-        at = lambda offset: [np.asarray(x) for x in compiled(middle + offset * np.eye(2)[number])]
-        _, forward, backward = at(0.0)
-        return (at(step)[0] - at(-step)[0]) / (2 * step), forward[:, number], backward[:, number]
-
-
-@pytest.mark.exhaustive
-def test_blur_has_a_gradient():
-    slope, forward, backward = (found[0] for found in _slopes(0))
-    assert abs(slope) > 1e-4
-    assert forward == pytest.approx(slope, rel=1e-3)
-    assert backward == pytest.approx(forward, rel=1e-9)
-
-
-@pytest.mark.exhaustive
-def test_receivers_have_a_gradient_within_the_texture():
-    slope, _, backward = (found[1] for found in _slopes(1))
-    assert abs(slope) > 1e-2
-    assert backward == pytest.approx(slope, rel=1e-2)
 
 
 @pytest.mark.parametrize(

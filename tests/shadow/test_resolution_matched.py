@@ -24,8 +24,6 @@ from diffshadow.geometry import (
 from diffshadow.raster import draw_surface, rasterize
 from diffshadow.shadow import (
     Bias,
-    Bilinear,
-    MapSettings,
     Nearest,
     PercentageCloser,
     PercentageCloserSoft,
@@ -106,24 +104,6 @@ def test_pages_are_parts_of_the_plain_map_bit_for_bit(depth_layer):
             np.testing.assert_array_equal(drawn.depth[layer], window_of(plain[size], light.pages, layer))
         # Layers without a page stay empty.
         assert float(drawn.depth[len(chosen) + 1 :].min()) == 1
-
-
-@pytest.mark.exhaustive
-def test_faces_that_are_clipped_are_drawn_into_every_page():
-    # Triangles that reach before the near plane and far beyond the window.
-    corners = np.array(
-        [[-0.9, -0.7, -3, 1], [0.8, -0.9, 0.9, 1], [-0.2, 0.95, 0.5, 1], [300, 0.1, 0.2, 1], [0, 0.3, 0, 1]]
-    )
-    clip = jnp.asarray(corners[[0, 1, 2, 0, 1, 3, 2, 3, 4]], jnp.float32)
-    faces = jnp.arange(9, dtype=jnp.int32).reshape(3, 3)
-    whole = rasterize(clip, faces, (WIDE, WIDE))
-    pages = pages_of(FINEST)
-    found = rasterize(clip, faces, (SIDE, SIDE), pages=pages)
-    assert 0.2 < float(jnp.mean(whole.face >= 0)) < 0.95
-    assert set(np.unique(whole.face)) == {-1, 0, 1, 2}
-    for layer in FINEST:
-        np.testing.assert_array_equal(found.face[layer], window_of(whole.face, pages, layer))
-        np.testing.assert_array_equal(found.depth[layer], window_of(whole.depth, pages, layer))
 
 
 # Steps of these filters are whole texels. Other steps are rounded with the look-up's place in the map, or in the page.
@@ -256,19 +236,6 @@ def test_levels_on_a_ground_follow_the_closed_form():
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("norm", ["worst", "area"])
-def test_no_texel_is_larger_than_a_pixel_where_memory_suffices(norm):
-    (scene, surface), layout = ground(), layout_of(norm)
-    light = pages_for(scene, surface, layout)
-    assert float(light.raised) == float(light.bias) == float(light.too_coarse) == 0
-    found = ShadowMapping(Bilinear(), Bias(0.5), layout=layout).aliasing(dark_map(light, layout), surface, scene.camera)
-    extent = {"area": np.sqrt(np.asarray(found.area)), "worst": np.asarray(found.extent)}[norm][np.asarray(found.mask)]
-    assert extent.max() <= 1 + 1e-3
-    # And none is needlessly small: where no finer neighbour asked for the page, it is more than half a pixel.
-    assert np.median(extent) > 0.4
-
-
-@pytest.mark.exhaustive
 def test_a_bias_is_raised_until_all_pages_fit_and_every_point_has_a_page():
     scene, surface = ground()
     mask, points = np.asarray(surface.mask), surface.position
@@ -301,37 +268,6 @@ def test_a_bias_is_raised_until_all_pages_fit_and_every_point_has_a_page():
         f"requests {requested} pages, and the shadow map has memory for 1: level_bias was raised to "
         f"{float(alone.bias):.3g}, where one page of {side}² shows all; enlarge the map's resolution",
     )
-
-
-@pytest.mark.exhaustive
-def test_too_little_memory_blurs_shadows():
-    scene, surface = scene_and_surface()
-    at = lambda texels: ShadowMapping(
-        Bilinear(), Bias(1.0, 1.0), map=MapSettings((texels, texels)), layout=ResolutionMatched(16, 512, margin=2.0)
-    )
-    images, states = [], []
-    for texels in (256, 60):
-        technique = at(texels)
-        states.append(technique.prepare(scene, surface))
-        images.append(np.asarray(technique.visibility(states[-1], surface)))
-    assert float(states[0].light.raised) == 0 < float(states[1].light.raised)
-    # Only within a few coarse texels of an outline they differ.
-    differs = np.abs(images[0] - images[1]) > 0.5
-    assert 0 < differs.mean() < 0.1
-    assert abs(images[0].mean() - images[1].mean()) < 0.03
-
-
-@pytest.mark.exhaustive
-def test_too_coarse_a_finest_level_is_counted():
-    scene, surface = ground()
-    finer = pages_for(scene, surface, layout_of(level_bias=-2.0))
-    needed, mask = needed_of(layout_of(), scene, surface)
-    share = (np.asarray(needed) + float(finer.bias) < 0)[np.asarray(mask)].mean()
-    assert 0.1 < share < 1
-    np.testing.assert_allclose(finer.too_coarse, share, rtol=1e-5)
-    *_, remark = layout_of().remarks(finer)
-    assert remark.startswith(f"has too large texels in {share:.0%} of the pixels")
-    assert "a finer level than finest = 4096" in remark
 
 
 def test_figures_of_pages_show_levels_where_there_are_shadows():

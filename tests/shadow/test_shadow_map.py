@@ -13,7 +13,6 @@ from scenes import (
     compiled_programs,
     covered,
     floor_and_card,
-    floor_camera,
     floor_surface,
     quad,
     shadows,
@@ -23,11 +22,10 @@ from scenes import (
     technique,
 )
 
-from diffshadow.geometry import DirectionalLight, Edges, Mesh, SpotLight, Tile, library_mesh, merge
+from diffshadow.geometry import DirectionalLight, Edges, Mesh, Tile, library_mesh, merge
 from diffshadow.raster import DepthTest, draw_surface
 from diffshadow.shadow import (
     Bias,
-    Bilinear,
     ConstantBias,
     MapSettings,
     Nearest,
@@ -70,16 +68,6 @@ def test_map_holds_the_depth_of_what_the_light_sees_first(light):
     assert wrong.sum() <= 6
     assert np.asarray(shadow_map.depth)[depth == 1].min() > 0.99
     assert shadow_map.resolution == SIZE
-
-
-@pytest.mark.exhaustive
-def test_light_that_sees_nothing_leaves_everything_lit():
-    away = SpotLight((0, 3, 0), (0, 1, 0), 30.0, 0.1, 10.0)
-    shadow_map = drawn_map(floor_and_card(), away)
-    assert (np.asarray(shadow_map.depth) == 1).all()
-    surface, mapping = floor_surface(1.5, SIZE), technique(Bilinear())
-    assert (np.asarray(shadows(mapping, shadow_map, surface)) == 1).all()
-    assert not np.asarray(covered(mapping, shadow_map, surface)).any()
 
 
 def test_culling_leaves_out_the_faces_named():
@@ -136,27 +124,6 @@ def test_images_larger_than_a_map_and_maps_that_are_very_large_or_not_plain_shar
     assert MapSettings((64, 64), polygon_offset=(1.0, 1.0)).buffer((64, 64)) is None
 
 
-@pytest.mark.exhaustive
-def test_the_map_is_drawn_under_a_trace_and_differentiated():
-    mesh = floor_and_card()
-    light = sun(mesh)
-
-    @jax.jit
-    def depth_and_slope(lift):
-        def depth_with(lift):
-            raised = eqx.tree_at(lambda m: m.vertices, mesh, mesh.vertices + jnp.array([0.0, 1.0, 0.0]) * lift)
-            return draw_shadow_map(raised, light, SIZE).depth
-
-        return jax.jvp(depth_with, (lift,), (jnp.ones(()),))
-
-    value, slope = map(np.asarray, depth_and_slope(jnp.zeros(())))
-    np.testing.assert_allclose(value, drawn_map(mesh, light).depth, atol=2e-7)
-    # Seen along a fixed ray, a plane that rises by 1 comes nearer by 1 / |d_y| along it.
-    direction = np.asarray(light.direction) / np.linalg.norm(light.direction)
-    expected = -1 / abs(direction[1]) / float(light.far - light.near)
-    np.testing.assert_allclose(slope[value < 1], expected, rtol=1e-4)
-
-
 def test_edges_under_a_trace_need_a_number_of_crossings():
     mesh = floor_and_card()
     edges = Edges.of(mesh)
@@ -194,24 +161,6 @@ def test_layers_of_a_map_hold_the_first_surface_the_second_and_their_middle():
         np.testing.assert_allclose(depth["second"][where], second, atol=1e-6)
         # The floor has nothing behind it but the far plane.
         np.testing.assert_allclose(depth["midpoint"][where], (first + second) / 2, atol=1e-6)
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("layer", LAYERS)
-def test_layers_of_a_map_are_differentiable(layer):
-    mesh = floor_and_slab()
-
-    # Outside of a trace, so that only what has a derivative is compiled.
-    def depth_with(stretch):
-        raised = eqx.tree_at(lambda m: m.vertices, mesh, mesh.vertices * jnp.array([1.0, stretch, 1.0]))
-        return draw_shadow_map(raised, NOON, SIZE, depth_layer=layer).depth
-
-    value, slope = map(np.asarray, jax.jvp(depth_with, (jnp.ones(()),), (jnp.ones(()),)))
-    # A surface at height y rises by y; a middle by the mean of what it lies between, and the far plane stays.
-    rise = {"nearest": 1.0, "second": 1 - SLAB, "midpoint": 1 - SLAB / 2}[layer]
-    np.testing.assert_allclose(slope[12:20, 12:20], -rise / 2.5, rtol=1e-5)
-    np.testing.assert_allclose(slope[8:12, 8:24], 0, atol=1e-6)
-    assert (value <= 1).all()
 
 
 def test_an_unknown_layer_is_refused():
@@ -263,22 +212,6 @@ def test_closed_meshes_need_no_bias_where_the_map_holds_more_than_their_lit_side
         # A texel is a 1/32 of the map: beside the silhouette both sides of the ball lie within it.
         assert not dark[cosine > 0.35].any(), name
         assert dark.sum() < 0.05 * facing.sum(), name
-
-
-@pytest.mark.exhaustive
-def test_front_culling_and_second_depths_lose_the_shadow_of_an_open_mesh():
-    mesh, light = floor_and_card(), sun(floor_and_card())
-    surface = draw_surface(mesh, floor_camera(1.5, (64, 64)))
-    seen = lambda **options: np.asarray(
-        shadows(technique(Nearest(), constant=1.0), draw_shadow_map(mesh, light, (64, 64), **options), surface)
-    )
-    dark = seen() == 0
-    assert dark.mean() > 0.08
-    assert (seen(cull="front") == 1).all()
-    # The floor lies behind the card, and nothing behind the floor: it is the floor that the second layer holds there.
-    assert (seen(depth_layer="second") == 1).all()
-    # The middle between card and floor shadows the floor.
-    np.testing.assert_array_equal(seen(depth_layer="midpoint") == 0, dark)
 
 
 @pytest.mark.exhaustive

@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import itertools
 from pathlib import Path
 
 import equinox as eqx
@@ -27,7 +26,7 @@ from diffshadow.geometry import (
     merge,
 )
 from diffshadow.io import load_mesh
-from diffshadow.raster import Surface, draw_surface, rasterize
+from diffshadow.raster import Surface, draw_surface
 from diffshadow.raster._corners import _about_corners
 from diffshadow.reference import trace_visibility
 from diffshadow.shadow import (
@@ -43,21 +42,16 @@ from diffshadow.shadow import (
     PercentageCloserSoft,
     RandomDisk,
     ReceiverPlane,
-    ShadowMap,
     ShadowMapping,
     Tent,
-    VarianceShadowMap,
     draw_shadow_map,
     plan_crossings,
     stratified,
 )
-from diffshadow.shadow._draw_map import _silhouettes
-from diffshadow.shadow._lookup import Lookup, look_up
-from diffshadow.shadow._receiver import receiver
+from diffshadow.shadow._lookup import Lookup
 from diffshadow.shadow.kernels import Footprint
 from diffshadow.shadow.kernels._padded_silhouettes import BlockBounds
 from diffshadow.shadow.silhouettes import WHOLE_TEXEL, HalfPlanes, Rectangle, cut_area
-from diffshadow.shadow.silhouettes._crossings import BOTTOM, LEFT, RIGHT, TOP, Grid, _outermost
 
 # Meshes of maps that are drawn under a trace are filled up to this, so that they share what is compiled.
 SIZES = (1300, 2304, 3500)
@@ -164,10 +158,6 @@ _visibility = eqx.filter_jit(lambda technique, shadow_map, surface: technique.vi
 def _draw(mesh: Mesh, light, **how):
     """The map of a mesh, of 48 texels."""
     return draw_shadow_map(mesh, light, (TEXELS, TEXELS), edges=Edges.of(mesh), crossings=CROSSINGS, **how)
-
-
-def _of_size(mesh: Mesh) -> tuple[Mesh, Edges]:
-    return filled(mesh, Edges.of(mesh), *SIZES)
 
 
 # Rows of 256 points, at which derivatives are taken.
@@ -333,40 +323,6 @@ def _shoelace(polygon) -> float:
 
 
 SQUARE = np.array([[-0.37, 1, -0.31], [-0.33, 1, 0.29], [0.41, 1, 0.36], [0.28, 1, -0.4]])
-WIDE = (-0.65, 0.65, -0.65, 0.65)
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("modes", ["reverse", "both"])
-def test_a_vertex_moves_the_shadow_of_a_square(modes, float64):
-    make, parameters, towards = LIGHTS["spot"]
-    square = lambda v: Mesh(v, jnp.array([[0, 1, 2], [0, 2, 3]]))
-    mesh, none = square(jnp.asarray(SQUARE)), jnp.zeros(parameters)
-    edges, box = Edges.of(mesh), (-0.8, 0.5, -0.4, 0.7)
-    surface, resolution = surface_at(_spread(192 * 192, box).reshape(192, 192, 3), UP), (128, 128)
-    crossings = plan_crossings(mesh, make(none), resolution, edges)
-    technique, size = _technique(PercentageCloser(1.5)), (box[1] - box[0]) * (box[3] - box[2])
-
-    def ours(v):
-        shadow_map = draw_shadow_map(
-            square(v.reshape(4, 3)),
-            make(none),
-            resolution,
-            edges=edges,
-            crossings=crossings,
-        )
-        return size * jnp.mean(technique.visibility(shadow_map, surface))
-
-    exact = lambda v: lit_area(square(jnp.asarray(v.reshape(4, 3))), towards(np.zeros(parameters)), box)
-    flat = jnp.asarray(SQUARE.reshape(-1))
-    value, backward = jax.jit(jax.value_and_grad(ours))(flat)
-    assert value == pytest.approx(exact(np.asarray(flat)), rel=1e-3)
-    truth = difference(exact, flat)
-    np.testing.assert_allclose(backward, truth, atol=0.01 * np.abs(truth).max())
-    if modes == "both":
-        forward = jax.jit(jax.jacfwd(ours))(flat)
-        np.testing.assert_allclose(forward, truth, atol=0.01 * np.abs(truth).max())
-        np.testing.assert_allclose(backward, forward, atol=1e-5 * np.abs(truth).max())
 
 
 CASTERS = {"sphere": {"subdivisions": 3}, "fence": {}}
@@ -385,26 +341,6 @@ def test_poses_move_shadows(caster, light, float64):
     np.testing.assert_allclose(gradient, truth, atol=0.03 * np.abs(truth).max())
 
 
-@pytest.mark.exhaustive
-def test_outlines_of_what_lies_on_the_ground_hardly_move_with_the_light(float64):
-    # Balls of a few texels, with several edges in each texel, at most `height` above the ground that they shadow. A
-    # light at a distance of 4 that moves by 1 moves their shadows by so many texels, and no visibility changes faster.
-    height, resolution = 0.035, 256
-    ball = library_mesh("sphere", subdivisions=2, radius=0.015)
-    places = [(x, 0.02, z) for x, z in zip(np.linspace(-0.3, 0.3, 7), (1, -3, 2, 0, -2, 3, -1), strict=True)]
-    mesh = merge([_moved(ball, np.multiply(place, (1, 1, 0.05))) for place in places])
-    texel = 2 * 4 * np.tan(np.radians(CONE)) / resolution
-    most = height / (4 - height) / texel
-    crossings = 2048
-    mesh, edges = _of_size(mesh)
-    surface = surface_at(_spread(ROWS * 256, (-0.35, 0.35, -0.2, 0.2)).reshape(ROWS, 256, 3), UP)
-    slopes, _ = _follow(_spot, mesh, edges, resolution, crossings, jnp.zeros(8), surface)
-    change = np.asarray(slopes[..., 0])
-    assert np.sum(np.abs(change) > 0.1 * most) > 300
-    # A chord turns as its ends move, so that parts of it go a little further.
-    assert np.abs(change).max() < 2 * most, (np.abs(change).max(), most)
-
-
 def _square() -> Mesh:
     """Tilted, over the ground: it fills neither texels nor the map evenly."""
     return Mesh(jnp.asarray(SQUARE, jnp.float32), jnp.array([[0, 1, 2], [0, 2, 3]]))
@@ -414,69 +350,6 @@ def _square() -> Mesh:
 def _scene():
     """The square's map under the sun."""
     return _draw(_square(), _sun(STILL))
-
-
-@eqx.filter_jit
-def _moving_outlines(shadow_map, corners, mesh, edges, by, way):
-    """The half-planes of the map's silhouettes under the sun turned by `by`, and their derivatives along `way`."""
-
-    def planes(by):
-        light = _sun(by)
-        given = shadow_map.depth, corners, light.view().clip_vertices(mesh.vertices), mesh, light, edges, CROSSINGS
-        return _silhouettes(*given)[0].planes
-
-    return jax.jvp(planes, (by,), (way,))
-
-
-@pytest.mark.exhaustive
-def test_half_planes_move_as_edges_do():
-    shadow_map, mesh = _scene(), _square().padded()
-    edges = Edges.of(_square()).padded(len(mesh.faces))
-    clip = _about_corners(shadow_map.view.clip_vertices(mesh.vertices), (TEXELS, TEXELS))
-    corners = rasterize(clip, mesh.faces, (TEXELS + 1, TEXELS + 1)).depth
-    step, way = 2e-3, np.float32([0.6, 0.8])
-    at = lambda by: [np.asarray(x) for x in _moving_outlines(shadow_map, corners, mesh, edges, by * way, way)[0]]
-    _, slopes = _moving_outlines(shadow_map, corners, mesh, edges, 0 * way, way)
-    used = np.unique(np.asarray(shadow_map.silhouettes.slot))[1:]
-    assert len(used) > 40
-    differences = [(ahead - behind)[:, used] / (2 * step) for ahead, behind in zip(at(step), at(-step), strict=True)]
-    for slope, change in zip(slopes, differences, strict=True):
-        # Not where a step takes a crossing to the next texel, and corners of the square with it.
-        moves, slope = np.abs(change) > 1e-3, np.asarray(slope)[:, used]
-        assert moves.sum() > 40
-        assert np.isclose(slope, change, rtol=0.02, atol=0.02)[moves].mean() > 0.8
-    assert np.abs(differences[2]).max() > 10
-
-
-@pytest.mark.exhaustive
-def test_of_several_crossings_of_a_side_the_outermost_counts():
-    """First of those that lie on it, then of those near its corners; and of several at one place the first."""
-    count, texels = 60, 3
-    rng = np.random.default_rng(0)
-    # Few sides and places, so that several crossings share both; the last number stands for no texel.
-    texel, side = rng.integers(0, texels + 1, (2, 2, count)), rng.choice([BOTTOM, TOP], (2, count))
-    begins, offset = rng.integers(0, 2, count) > 0, rng.integers(-1, 5, (2, count)) / 4
-    found = np.asarray(
-        _outermost(
-            jnp.asarray(texel, jnp.int32),
-            jnp.asarray(side, jnp.int32),
-            jnp.asarray(begins),
-            jnp.asarray(offset, jnp.float32),
-            texels,
-        )
-    )
-    for where, one in itertools.product((BOTTOM, RIGHT, TOP, LEFT), range(texels)):
-        for role in (0, 1):
-            # Along the top side the walk runs to the left, so that a caster ends where it begins from left to right.
-            of_side = [
-                (row, offset[row, k] if begins[k] else -offset[row, k], row * count + k)
-                for row, other, k in itertools.product(range(2), range(2), range(count))
-                if texel[row, other, k] == one
-                and side[other, k] == where
-                and begins[k] == ((role == 1) == (where == BOTTOM))
-            ]
-            assert found[role, where, one] == min(of_side, default=(0, 0, 2 * count))[2]
-    assert (found == 2 * count).mean() == 0.5
 
 
 def _without_silhouettes(shadow_map):
@@ -548,41 +421,6 @@ def test_receivers_that_move_see_outlines_pass_and_no_steps_between_texels():
     assert slope_and_value(beyond, shadow_map)[0] == pytest.approx((ahead - behind) / (2 * step), rel=0.05)
 
 
-class _Everywhere(HardCompare):
-    """A hard compare that is taken for a soft one, under which all texels with silhouettes are corrected."""
-
-    @property
-    def has_depth_derivative(self) -> bool:
-        return True
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize(("light", "mode"), [("spot", jax.jacfwd), ("point", jax.jacrev)])
-def test_look_ups_of_points_have_the_derivatives_of_their_places(light, mode):
-    """Derivatives by the light are found for the points near outlines alone: those that the projection of all has."""
-    make, parameters, _ = LIGHTS[light]
-    mesh, surface = _caster("fence"), surface_at(_spread(64**2).reshape(64, 64, 3), UP)
-    weights = jnp.asarray(np.random.default_rng(0).uniform(0, 1, (64, 64)), jnp.float32)
-    drawn = _draw(mesh, make(jnp.zeros(parameters)))
-    bias = Bias(0.01, 0, 0.3)
-
-    @eqx.filter_jit
-    def slope(by, has_points):
-        def lit(by):
-            shadow_map = ShadowMap(drawn.depth, make(by), silhouettes=drawn.silhouettes)
-            at = receiver(shadow_map, surface)
-            lookup = look_up(shadow_map, at, bias(at))
-            # At another place the points are not known.
-            lookup = lookup if has_points else lookup.at(lookup.x, lookup.y)
-            return jnp.sum(weights * Bilinear()(shadow_map, lookup, HardCompare()))
-
-        return mode(lit)(by)
-
-    by_points, by_places = (slope(jnp.zeros(parameters), has_points) for has_points in (True, False))
-    assert np.abs(by_places).min() > 0.1
-    np.testing.assert_allclose(by_points, by_places, rtol=2e-3)
-
-
 @pytest.mark.exhaustive
 def test_texels_are_corrected_where_each_pixel_of_a_tile_taps():
     """A pixel in a tile of four sees what it sees where all pixels have its own offsets."""
@@ -601,40 +439,6 @@ def test_texels_are_corrected_where_each_pixel_of_a_tile_taps():
 
 
 _disk = eqx.filter_jit(lambda shadow_map, lookup, filter_: filter_(shadow_map, lookup, HardCompare()))
-
-
-@pytest.mark.exhaustive
-def test_texels_whose_parts_compare_alike_need_no_correction():
-    shadow_map, rng = _scene(), np.random.default_rng(0)
-    x, y = rng.uniform(4, 44, (2, 120, 120))
-    depths = np.asarray(shadow_map.depth)
-    lookup = lookups_at(x, y, float(np.median(depths[depths < 1])))
-    # Planes so steep that some texels of a look-up shadow it, and others do not.
-    slope = tuple(jnp.asarray(rng.uniform(-0.2, 0.2, x.shape), jnp.float32) for _ in range(2))
-    lookup = eqx.tree_at(lambda at: at.slope, lookup, slope, is_leaf=lambda leaf: leaf is None)
-    lit = eqx.filter_jit(lambda compare: PercentageCloser(1.5)(shadow_map, lookup, compare))
-    # The order in which a sum is taken is not fixed on GPUs.
-    np.testing.assert_allclose(lit(HardCompare()), lit(_Everywhere()), atol=1e-6)
-
-
-@pytest.mark.exhaustive
-def test_hard_shadows_end_where_casters_do():
-    shadow_map, surface = _scene(), _ground(WIDE)
-    visibility, plain = (
-        np.asarray(_visibility(_technique(Nearest()), each, surface))
-        for each in (shadow_map, _without_silhouettes(shadow_map))
-    )
-    # Points of the ground are in shadow where the way to the light meets the square.
-    to_light = np.array([0.3, 1.0, -0.2])
-    at_caster = np.asarray(surface.position)[..., [0, 2]] + to_light[[0, 2]]
-    hidden = np.ones(visibility.shape, bool)
-    corners = SQUARE[:, [0, 2]]
-    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        way = b - a
-        hidden &= way[0] * (at_caster[..., 1] - a[1]) - way[1] * (at_caster[..., 0] - a[0]) < 0
-    assert 0.1 < hidden.mean() < 0.6
-    wrong, wrong_plain = np.mean(visibility == hidden), np.mean(plain == hidden)
-    assert wrong < 5e-4 < 0.01 < wrong_plain
 
 
 @pytest.mark.exhaustive
@@ -666,19 +470,6 @@ def test_a_rim_does_not_shadow_itself():
     points = np.einsum("hwk,hwkc->hwc", rng.dirichlet(np.ones(3), own.shape), corners[own])
     visibility = np.asarray(_visibility(_technique(Nearest()), shadow_map, surface_at(points, normals[own])))
     assert (visibility == 1).all()
-
-
-# If texels whose edges are all hidden had silhouettes, 30 to 120 points of each would be lit.
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("seed", [1, 2, 12, 15])
-def test_no_light_leaks_into_the_shadow_of_a_closed_mesh(seed):
-    faces = library_mesh("sphere", subdivisions=1).faces
-    mesh = _centred(Mesh(_crumpled(seed, 1, 3.0), faces))
-    visibility = _visibility(_technique(Nearest()), _draw(mesh, _sun(STILL)), _ground())
-    texel = 2.2 / TEXELS
-    near, lit = _near_outlines(mesh, LIGHTS["sun"][2](STILL), _spread(POINTS**2), 2 * texel)
-    assert np.sum(~near & ~lit) > 100
-    np.testing.assert_array_equal(np.asarray(visibility).ravel()[~near], lit[~near])
 
 
 @pytest.mark.exhaustive
@@ -723,30 +514,6 @@ def test_point_lights_find_silhouettes_in_all_their_maps():
     box = (-1.1, 0.9, -1.0, 0.9)
     exact = lit_area(_square(), [*PLACE, 1], box)
     assert _lit(_technique(Bilinear()), shadow_map, box) == pytest.approx(exact, abs=2e-3)
-
-
-@eqx.filter_jit
-def _variance(shadow_map, surface):
-    """Each texel's share of casters, and how visibility changes as each silhouette's first half-plane moves."""
-    share = shadow_map.silhouettes.mean_of(lambda depth: jnp.where(depth < 1, 1.0, 0.0), shadow_map.depth)
-    offset = lambda m: m.silhouettes.planes.offset
-
-    def visibility(by):
-        moved = eqx.tree_at(offset, shadow_map, offset(shadow_map).at[0].add(by))
-        return _technique(VarianceShadowMap(1.5)).visibility(moved, surface)
-
-    return share, jax.jvp(visibility, (jnp.zeros(()),), (jnp.ones(()),))[1]
-
-
-@pytest.mark.exhaustive
-def test_variance_maps_hold_the_mean_over_a_texel():
-    share, slope = _variance(_scene(), _ground(WIDE))
-    # Seen along the light, the square is as large as its shadow times the sine of the light's elevation.
-    whole = (-2.0, 2.0, -2.0, 2.0)
-    shadow = 16 - lit_area(_square(), [0.3, 1.0, -0.2, 0], whole)
-    seen = shadow / np.sqrt(1 + 0.3**2 + 0.2**2)
-    assert np.sum(share) * (2.2 / TEXELS) ** 2 == pytest.approx(seen, rel=1e-3)
-    assert np.max(np.abs(slope)) > 0.01
 
 
 def test_without_edges_nothing_is_kept_or_changed():
@@ -837,11 +604,3 @@ def test_silhouettes_are_of_the_nearest_surface(settings):
 def test_silhouettes_need_room_for_the_corners_of_texels():
     with pytest.raises(ValueError, match=r"map of \(8192, 16\) texels.*expected at most 8191 on a side"):
         draw_shadow_map(_square(), _sun(STILL), (8192, 16), edges=Edges.of(_square()))
-
-
-def test_texels_and_corners_of_several_layers_are_numbered_without_gaps():
-    grid = Grid(2, 3, 5)
-    for numbered, height, width in ((grid.texel, 3, 5), (grid.corner, 4, 6)):
-        layer, row, column = jnp.indices((2, height, width))
-        np.testing.assert_array_equal(numbered(layer, row, column).ravel(), np.arange(2 * height * width))
-    assert grid.texels == 30

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scenes import floor_camera, marked, quad, side_camera, sun
 
-from diffshadow.geometry import Edges, Scene, merge
+from diffshadow.geometry import Scene, merge
 from diffshadow.raster import draw_surface
 from diffshadow.reference import trace_visibility, trace_visibility_exact
 from diffshadow.shadow import (
@@ -21,7 +21,6 @@ from diffshadow.shadow import (
     ProjectiveShadow,
     ShadowMapping,
     ShadowVolumes,
-    draw_shadow_map,
 )
 
 FLOOR, CARD = quad((0, 0, 0), (3, 0, 0), (0, 0, -3)), quad((0, 1, 0), (0.5, 0, 0), (0, 0, -0.5))
@@ -83,19 +82,6 @@ def test_a_technique_of_ones_own_is_one(seen):
     assert np.asarray(technique.visibility(technique.prepare(SCENE, surface), surface)).min() == 1
     with pytest.raises(TypeError, match="abstract"):
         AbstractTechnique()
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("silhouettes", marked([None, False, True], [True]))
-def test_the_prepared_map_is_that_of_the_settings(silhouettes):
-    offset = 1.0, 2.0
-    settings = MapSettings(SIZE, "nearest", "none", "unorm16", offset, silhouettes)
-    prepared = ShadowMapping(Bilinear(), Bias(), map=settings).prepare(SCENE)
-    edges = Edges.of(CARD) if silhouettes else None
-    drawn = draw_shadow_map(CARD, SCENE.light, SIZE, depth_format="unorm16", polygon_offset=offset, edges=edges)
-    np.testing.assert_array_equal(prepared.depth, drawn.depth)
-    assert prepared.depth_format == "unorm16"
-    assert (prepared.silhouettes is None) == (not silhouettes)
 
 
 OUTLINES = ShadowMapping(Bilinear(), Bias(1.0), map=MapSettings((32, 32), silhouettes=True))

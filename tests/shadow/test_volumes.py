@@ -1,7 +1,6 @@
 """Shadow volumes against float64 rays, and their counts against OpenGL's stencil buffer."""
 
 import functools
-from pathlib import Path
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,7 +10,6 @@ from golden_stencil import stencil_case, stencil_names
 from jaxtyping import TypeCheckError
 from scenes import filled, quad
 from transformations import CHANGES
-from triangle_soups import soup
 from volume_oracle import Truth
 
 from diffshadow.geometry import (
@@ -22,21 +20,17 @@ from diffshadow.geometry import (
     PinholeCamera,
     Scene,
     SpotLight,
-    drop_to_ground,
-    fit_to_size,
     library_mesh,
     merge,
     rotation,
     translation,
 )
-from diffshadow.io import load_mesh
 from diffshadow.raster import count_fragments, rasterize
 from diffshadow.reference import trace_visibility_exact
 from diffshadow.shadow import ShadowVolumes, VolumeScene
 
 pytestmark = pytest.mark.optimized
 
-REAL_MESHES = Path(__file__).parents[3] / "shared" / "meshes"
 RESOLUTION = (72, 96)
 # Alike for all scenes, and of the size of the stencil goldens and their faces, so that little is compiled.
 VERTICES, FACES, EDGES = 1300, 1300, 384
@@ -148,29 +142,6 @@ def test_counts_are_the_faces_between_a_point_and_the_light(name, light, camera,
     wrong = (counts.ravel() != expected.count) & (expected.face >= 0)
     assert truth.changes_within(centres[wrong], BAR, solid).all() if wrong.any() else True, np.flatnonzero(wrong)
     assert expected.count.max() >= 1
-
-
-@pytest.mark.exhaustive
-def test_overlapping_volumes_count_up():
-    _, _, _, (_, counts) = case("two_boxes", "lamp", "perspective", "z_fail")
-    assert {0, 1, 2} <= set(np.unique(counts).tolist())
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("file", ["spot.obj", "fandisk.obj"])
-def test_real_closed_meshes_agree_with_float64_rays(file):
-    if not (REAL_MESHES / file).exists():
-        pytest.skip(f"{REAL_MESHES / file} is missing: put the meshes for trials beside the repository")
-    mesh = merge([drop_to_ground(fit_to_size(load_mesh(REAL_MESHES / file), 1.0)), GROUND])
-    edges = Edges.of(mesh)
-    assert np.asarray(edges.solid).tolist() == [True, False]
-    camera = eqx.tree_at(lambda c: c.fov_y, PERSPECTIVE, jnp.asarray(25.0))
-    camera = PinholeCamera(camera.eye, camera.target, fov_y=25.0, near=0.1, far=20.0, resolution=(32, 48))
-    whole, rows = filled(mesh, edges, 6600, 13000, 19500)
-    state = VolumeScene(whole, LAMP, camera, rows)
-    visibility = Z_FAIL.visibility(state)
-    expected = trace_visibility_exact(Scene(mesh, camera, LAMP), 1).visibility
-    assert_right(np.asarray(visibility), expected, Truth(mesh, LAMP, camera), file)
 
 
 # Where the eye and the light are
@@ -292,20 +263,6 @@ def test_pictures_follow_a_change_of_the_scene(camera):
 # Calls
 
 
-@pytest.mark.exhaustive
-def test_compiled_call_equals_the_plain_one():
-    scene, _, _, (visibility, _) = case("blob", "lamp", "perspective", "z_fail")
-    mesh, edges = filled(scene.mesh, Edges.of(scene.mesh), VERTICES, FACES, EDGES)
-
-    @eqx.filter_jit
-    def compiled(mesh, light):
-        return Z_FAIL.visibility(VolumeScene(mesh, light, PERSPECTIVE, edges))
-
-    result = compiled(mesh, scene.light)
-    assert result.dtype == jnp.float32
-    np.testing.assert_array_equal(result, visibility)
-
-
 def test_unknown_methods_are_refused():
     # Shapes and types are checked before, in tests, and say so in their own words.
     with pytest.raises((ValueError, TypeCheckError), match="z_fail"):
@@ -316,20 +273,6 @@ def test_unknown_methods_are_refused():
 
 
 # Counted fragments
-
-
-@pytest.mark.exhaustive
-def test_faces_counted_against_their_own_depth_have_the_same_bits():
-    """No fragment passes where its own face is seen or hidden, and the seen one fails: depths are equal, not close."""
-    count = 24
-    faces = jnp.arange(3 * count).reshape(-1, 3)
-    for seed in range(8):
-        clip = jnp.asarray(soup(np.random.default_rng(seed), count, RESOLUTION)[0], jnp.float32)
-        seen = rasterize(clip, faces, RESOLUTION)
-        powers = jnp.asarray(np.random.default_rng(seed).integers(1, 1 << 20, count), jnp.int32)
-        passing = count_fragments(clip, faces, powers, seen.depth, "pass")
-        assert (passing == 0).all()
-    assert (seen.face >= 0).any()
 
 
 # Against OpenGL
@@ -400,24 +343,3 @@ def test_counts_equal_opengls_stencil_on_999_of_1000_pixels_and_the_rest_is_expl
     message = f"{differing} of {total} covered pixels differ:\n" + "\n".join(listed)
     assert differing <= 0.001 * total, message
     assert not unexplained, message
-
-
-@pytest.mark.exhaustive
-def test_few_pixels_of_the_stencil_goldens_could_be_explained_away():
-    rng = np.random.default_rng(0)
-    near = [
-        stencil.near_outlines(pixel)
-        for stencil in STENCIL
-        for pixel in rng.integers((0, 0), stencil.resolution, (12, 2))
-    ]
-    assert np.mean([outline <= NEAR_OUTLINE or gap <= TIED for outline, gap in near]) < 0.1
-
-
-def test_stencil_goldens_hold_every_kind_of_scene():
-    assert len(STENCIL) >= 8
-    assert any((stencil.weights < 0).any() for stencil in STENCIL)
-    assert any((np.abs(stencil.weights) > 1).any() for stencil in STENCIL)
-    # From outside every volume both ways of counting agree; from inside they do not.
-    outside = [np.array_equal(stencil.passing, -stencil.failing) for stencil in STENCIL]
-    assert 2 <= len(outside) - sum(outside) <= len(outside) // 2
-    assert all((stencil.failing != 0).any() and (stencil.failing == 0).any() for stencil in STENCIL)

@@ -9,20 +9,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scenes import (
-    covered,
     drawn,
     floor_and_card,
     lamp,
     quad,
-    shadows,
     side_camera,
-    slopes_of_loss,
     sun,
     surface_at,
 )
 
 from diffshadow._arithmetic import in_float64
-from diffshadow.fit import TechniqueProblem
 from diffshadow.geometry import (
     DirectionalLight,
     Edges,
@@ -30,19 +26,14 @@ from diffshadow.geometry import (
     Mesh,
     OrthographicCamera,
     PinholeCamera,
-    Scene,
     Warp,
-    library_mesh,
     merge,
 )
 from diffshadow.raster import draw_surface
-from diffshadow.reference import trace_visibility
 from diffshadow.shadow import (
     Bias,
     Lookup,
-    MapSettings,
     Nearest,
-    PercentageCloser,
     PercentageCloserSoft,
     PerspectiveWarp,
     ShadowMap,
@@ -126,18 +117,6 @@ def test_without_strength_the_map_is_the_box_around_what_the_camera_sees():
         np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("method", METHODS)
-def test_the_warp_vanishes_as_the_light_turns_parallel_to_the_view(method):
-    angles = np.array([90, 60, 30, 10, 3, 1, 0.1, 0.0])
-    found = np.array([float(warped(TIGHT[method], at_angle(a, 20)).warp.strength) for a in angles])
-    assert (np.diff(found[2:]) <= 0).all()
-    # From the angle at which the nearest point leaves the lower border on, by its distance from the map's middle.
-    assert found[0] > 3
-    assert found[-2] < 0.02
-    assert found[-1] < 1e-4
-
-
 @functools.cache
 def far_floor():
     """A camera whose near is 1, and the floor that it sees from depth 20 on."""
@@ -157,40 +136,6 @@ def test_a_warp_may_follow_the_depths_that_are_seen():
     np.testing.assert_allclose(strength("camera"), np.sqrt(FAR) - 1, rtol=1e-3)
     with pytest.raises(ValueError, match="expected a surface"):
         layout("surface").light(NOON, camera, SIZE)
-
-
-@eqx.filter_jit
-def greatest_extent(light, surface, camera):
-    found = aliasing(ShadowMap(jnp.zeros(SIZE), light), surface, camera)
-    return jnp.max(jnp.where(found.mask, found.perspective_extent, 0))
-
-
-@pytest.mark.exhaustive
-def test_no_method_has_a_greater_error_by_default_than_no_warp():
-    camera, surface = far_floor()
-
-    def greatest(method, **settings):
-        return float(greatest_extent(warped_to(PerspectiveWarp(method, **settings), camera, surface), surface, camera))
-
-    by_default = {method: greatest(method) for method in METHODS}
-    assert max(by_default.values()) < greatest("lispsm", strength=0.0)
-    # The camera's near is 20 times as near as what is seen: the perspective to it is far too strong.
-    assert greatest("perspective", depths="camera", margin=0.0) > 2 * greatest("perspective", strength=0.0, margin=0.0)
-    assert [PerspectiveWarp(method).needs_surface for method in METHODS] == [False, True, False]
-
-
-def warped_to(layout, camera, surface):
-    return layout.light(NOON, camera, SIZE, surface)
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("method", METHODS)
-def test_a_warp_leaves_the_margin_at_the_far_end(method):
-    # From depth 1 to 100, a perspective would have a strength of 99.
-    view = warped(PerspectiveWarp(method, depths="camera", margin=4.0)).view()
-    corners = np.array([[x * 57.7, 1, -FAR] for x in (-1, 0, 1)])
-    clip = np.asarray(view.clip(jnp.asarray(corners, jnp.float32)))
-    np.testing.assert_allclose(clip[:, 1] / clip[:, 3] * 32, 32 - 4, atol=0.05)
 
 
 @pytest.mark.exhaustive
@@ -242,28 +187,6 @@ def test_errors_along_the_view_are_those_of_each_method():
     assert clip[1] / clip[3] == pytest.approx(2 * 0.8 - 1, abs=1e-5)
 
 
-@pytest.mark.exhaustive
-def test_aliasing_follows_the_strength():
-    surface, _ = drawn("directional", 64, 64)
-    with jax.enable_x64(True):
-        surface, light, camera = in_float64((surface, sun(floor_and_card()), side_camera((64, 64))))
-        empty = jnp.zeros(SIZE)
-
-        def extent(strength):
-            layout = eqx.tree_at(lambda layout: layout.strength, PerspectiveWarp(strength=1.0), strength)
-            own = ShadowMap(empty, layout.light(light, camera, SIZE))
-            return aliasing(own, surface, camera).extent
-
-        both = jax.jit(lambda w: jax.jvp(extent, (w,), (jnp.ones(()),)))
-        at = lambda w: [np.asarray(found) for found in both(jnp.asarray(w))]
-        mask, step = np.asarray(surface.mask), 1e-4
-        for strength in (0.0, 2.0):
-            exact = (at(strength + step)[0] - at(strength - step)[0]) / (2 * step)
-            found = at(strength)[1]
-            assert np.median(np.abs(exact[mask])) > 0.01
-            np.testing.assert_allclose(found[mask], exact[mask], rtol=0.01, atol=1e-4 * np.abs(exact[mask]).max())
-
-
 def plane(slope_x, slope_z):
     """A quad with y = slope_x x + slope_z (z + 50), which reaches far behind the camera."""
     return quad((0, 0, -50), (300, 300 * slope_x, 0), (0, -300 * slope_z, -300))
@@ -289,22 +212,6 @@ def plane_at_texels(light, slope_x, slope_z):
     height = slope_x * ground[..., 0] + slope_z * (ground[..., 1] + 50)
     points = np.stack([ground[..., 0], height, ground[..., 1]], axis=-1)
     return (-height - float(view.near)) / float(view.far - view.near), points
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("method", METHODS)
-def test_maps_of_planes_hold_their_depth(method):
-    # The plane comes before the light's near plane, and goes beyond its far plane.
-    light = DirectionalLight((0, -1, 0), (0, 0, -50), (400, 400), -10, 38)
-    slopes, light = (0.3, -0.8), warped(TIGHT[method], light)
-    expected, _ = plane_at_texels(light, *slopes)
-    depth = np.asarray(draw_shadow_map(plane(*slopes), light, SIZE).depth)
-    inside, outside = (expected > 0) & (expected < 1), (expected < -1e-3) | (expected > 1.001)
-    assert inside.mean() > 0.2
-    assert (depth[outside] == 1).all()
-    assert (expected < 0).any()
-    assert (expected > 1).any()
-    np.testing.assert_allclose(depth[inside], expected[inside], atol=1e-5)
 
 
 @pytest.mark.exhaustive
@@ -347,38 +254,6 @@ def test_receivers_know_texels_and_slopes_of_a_warped_map(case):
         moved = [seen(shadow_map, surface_at(points + 1e-5 * way, normal)).texel for way in (x, y)]
         (a, c), (b, d) = (np.moveaxis(np.asarray(m) - at.texel, -1, 0) / 1e-5 for m in moved)
         np.testing.assert_allclose((np.abs(a * d - b * c) * at.texel_size**2)[inside], 1, rtol=1e-3)
-
-
-def scattered_points(light, slope_x, slope_z):
-    """A surface of points of the plane, at 64 x 64 places of a texel, one in each texel but those at the border."""
-    _, points = plane_at_texels(light, slope_x, slope_z)
-    places = np.linspace(0.01, 0.99, 64)[(np.arange(64) * 27 + 13) % 64]
-    # Bilinear between the points at the centres of texels. Columns are straight, and rows parallel.
-    at = lambda n: (np.clip(np.floor(n - 0.5).astype(int), 0, 62), (n - 0.5) - np.clip(np.floor(n - 0.5), 0, 62))
-    (i, u), (j, v) = at(np.arange(64) + places), at(np.arange(64) + places)
-    u, v = u[:, None, None], v[None, :, None]
-    upper = (1 - v) * points[i + 1][:, j] + v * points[i + 1][:, j + 1]
-    points = (1 - u) * ((1 - v) * points[i][:, j] + v * points[i][:, j + 1]) + u * upper
-    points[..., 1] = slope_x * points[..., 0] + slope_z * (points[..., 2] + 50)
-    surface = surface_at(points, normal_of(slope_x, slope_z))
-    return eqx.tree_at(lambda s: s.mask, surface, jnp.asarray(np.pad(np.ones((60, 60), bool), 2)))
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("slopes", [(0.0, 0.0), (0.5, 0.0), (0.2, -0.6)])
-def test_least_acne_free_constant_bias_of_a_tilted_plane(slopes):
-    light = warped(PerspectiveWarp(strength=4.0))
-    shadow_map, surface = draw_shadow_map(plane(*slopes), light, SIZE), scattered_points(light, *slopes)
-    at, mask = jax.tree.map(np.asarray, seen(shadow_map, surface)), np.asarray(surface.mask)
-    column, row = np.floor(np.moveaxis(at.texel, -1, 0)).astype(int)
-    needed = (at.depth - np.asarray(shadow_map.depth)[row, column]) / at.depth_per_texel
-    exact = np.abs(at.slope).sum(axis=-1) / 2
-    # To first order: over half a texel, the size of texels changes by a few percent.
-    assert (needed <= 1.04 * exact + 2e-3)[mask].all()
-    assert (needed > 0.95 * exact - 2e-3)[mask].any()
-    acne = lambda bias: (np.asarray(shadows(ShadowMapping(Nearest(), Bias(bias)), shadow_map, surface))[mask] < 1).any()
-    assert not acne(needed[mask].max() + 2e-3)
-    assert sum(slopes) == 0 or acne(needed[mask].max() - 2e-3)
 
 
 def random_views():
@@ -426,59 +301,6 @@ def test_nothing_that_the_camera_sees_lies_beside_the_map(strength):
         used.append((np.ptp(place, axis=0) / [64, 48]).max())
     assert len(used) > 10
     assert np.median(used) > 0.6
-
-
-def posts():
-    """Posts on a plane, the farther the larger, on both sides of the corridor."""
-    rng, parts, z = np.random.default_rng(0), [quad((0, 0, -55), (60, 0, 0), (0, 0, -60))], 0.5
-    while z < 90:
-        box = library_mesh("box", size=(0.04 * z**0.8, 0.3 * z**0.8, 0.04 * z**0.8))
-        for side in (-0.7, -0.3, 0.3, 0.7):
-            move = np.array([side * z**0.9, 0, -z * rng.uniform(1, 1.2)])
-            parts.append(Mesh(np.asarray(box.vertices) + move, box.faces))
-        z *= 1.35
-    return merge(parts)
-
-
-@pytest.mark.exhaustive
-def test_shadows_agree_with_the_reference_where_far_is_a_thousand_times_near():
-    mesh = posts()
-    camera = PinholeCamera((0, 0.35, 0), (0, 0.25, -1), fov_y=60.0, near=0.1, far=FAR, resolution=(64, 64))
-    scene = Scene(mesh, camera, DirectionalLight.around((0.35, -1.0, 0.1), mesh.vertices))
-    surface, traced = draw_surface(mesh, camera), np.asarray(trace_visibility(scene).visibility)
-    mask = np.asarray(surface.mask)
-
-    def error(layout):
-        technique = ShadowMapping(Nearest(), Bias(0.5, 0.75), map=MapSettings((512, 512)), layout=layout)
-        found = np.asarray(technique.visibility(technique.prepare(scene, surface), surface))
-        return np.sqrt(np.mean((found - traced)[mask] ** 2))
-
-    assert 0.05 < traced[mask].mean() < 0.95
-    uniform, found = error(PerspectiveWarp(strength=0.0)), error(PerspectiveWarp())
-    assert found < 0.5 * uniform
-    assert found < 0.15
-
-
-@functools.cache
-def warped_problem_parts():
-    with jax.enable_x64(False):
-        mesh, camera = floor_and_card(), side_camera((64, 64))
-        light = warped(PerspectiveWarp(strength=2.0), sun(mesh), side_camera((32, 32)))
-        return draw_surface(mesh, camera), draw_shadow_map(mesh, light, SIZE)
-
-
-@pytest.mark.exhaustive
-def test_gradients_of_bias_and_radius_match_central_differences():
-    with jax.enable_x64(True):
-        surface, shadow_map = in_float64(warped_problem_parts())
-        technique = ShadowMapping(PercentageCloser(2.0, max_radius=4.0), Bias(0.5, 0.4, 0.3), SoftCompare(3.0))
-        lit = jnp.ones_like(surface.position[..., 0])
-        known = TechniqueProblem(technique, shadow_map, surface, lit, covered(technique, shadow_map, surface))
-        names = ("bias.constant", "bias.slope", "bias.normal_offset", "filter.radius")
-        at = np.array([0.5, 0.4, 0.3, 2.0])
-        slopes, gradient, _ = slopes_of_loss(known, names, at, 1e-5 * at)
-    assert (np.abs(slopes * at) > 1e-7).all()
-    np.testing.assert_allclose(gradient, slopes, rtol=0.01)
 
 
 @eqx.filter_jit

@@ -423,13 +423,6 @@ def _only_again(check: Callable[..., None]) -> Callable[..., None]:
 
 
 @pytest.mark.exhaustive
-def test_figures_of_runs_are_those_of_a_local_sweep(tmp_path):
-    there, here = both(tmp_path, ["sweep.figures=true", "sweep.repeats=1"])
-    assert there == here
-    assert any(name.startswith("figures") and name.endswith(".yaml") for name in there)
-
-
-@pytest.mark.exhaustive
 def test_a_worker_may_be_lost_and_another_may_join(tmp_path):
     def lose(cluster: Elsewhere, folder: Path) -> None:
         first = cluster._workers[0]
@@ -467,30 +460,3 @@ def test_a_user_s_filter_that_workers_cannot_load_is_refused(tmp_path, monkeypat
     sweep = load_sweep(Path("s.yaml"), ["filter={type: 'own_parted:Corners', radius: 2}"])
     with elsewhere(tmp_path, 1) as cluster, pytest.raises(ValueError, match=r"cannot load .*own_parted\.py: No module"):
         study.run_sweep(sweep, console=quiet(), scheduler=cluster.address)
-
-
-@pytest.mark.exhaustive
-@pytest.mark.usefixtures("interrupts")
-def test_an_interrupted_sweep_goes_on_to_the_same_bytes(tmp_path):
-    overrides = ["sweep.repeats=100"]
-
-    def interrupt(cluster: Elsewhere, folder: Path) -> None:
-        command = [sys.executable, "-m", "diffshadow", "sweep", "s.yaml", *overrides, "--scheduler", cluster.address]
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        until(lambda: len(list(folder.glob("runs/*/result.json"))) >= 10)
-        process.send_signal(signal.SIGINT)
-        _, errors = process.communicate(timeout=60)
-        assert (process.returncode, errors) == (130, "error: interrupted\n")
-        assert 10 <= len(list(folder.glob("runs/*/result.json"))) < 200
-
-    there, here = both(tmp_path, overrides, before=interrupt)
-    assert there == here
-    assert sum(b'"status": "ok"' in content for content in there.values()) == 200
-    # Both have the same page, up to times.
-    pages = []
-    for kept in ("here", "there"):
-        pages.append(re.sub(r"\d+\.\d+ m?s", "", study.report(Path("runs/s-sweep")).read_text()))
-        Path("runs/s-sweep").rename(f"{kept} with a page")
-        if kept == "here":
-            Path("there").rename("runs/s-sweep")
-    assert pages[0] == pages[1]

@@ -1,6 +1,5 @@
 """Folders of runs that somebody has damaged or edited: one message each, whatever is wrong, and never a traceback."""
 
-import contextlib
 import copy
 import io as text_io
 import json
@@ -20,17 +19,12 @@ from rich.console import Console
 from scenes import staying_in
 from stored_runs import write_fit, write_render, write_sweep
 
-from diffshadow import io, study
+from diffshadow import study
 from diffshadow.cli import main
 from diffshadow.config import load_sweep, parse_config
-from diffshadow.study.files._stored import read_result, read_run
 from diffshadow.study.sweeps import _work as sweep_work
 
 DELETED = object()
-WRONG = [
-    *(DELETED, None, "text", "", {}, [], [[1]], {"a": 1}, True, -1, 0, 7, 0.5),
-    *(10**400, 1e308, -1e308, float("nan"), float("inf"), "\x1b[31m\n\x00\x85", "\ud800", "$\\frac"),
-]
 Path_ = tuple[str | int, ...]
 
 
@@ -73,13 +67,6 @@ def copied(folder: Path, to: Path) -> Path:
     return shutil.copytree(folder, to)
 
 
-def key_paths(value: Any, at: Path_ = ()) -> Iterator[Path_]:
-    """The way to every value inside `value`."""
-    for key, inner in value.items() if isinstance(value, dict) else enumerate(value if isinstance(value, list) else ()):
-        yield (*at, key)
-        yield from key_paths(inner, (*at, key))
-
-
 def changed(value: Any, path: Path_, new: Any) -> Any:
     """A copy of `value` with something else at `path`, or nothing."""
     value = holder = copy.deepcopy(value)
@@ -94,31 +81,6 @@ def changed(value: Any, path: Path_, new: Any) -> Any:
 
 def put(folder: Path, result: Any) -> None:
     (folder / "result.json").write_text(json.dumps(result))
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("kind", ["fit", "render", "sweep"])
-def test_every_value_of_a_result_may_be_wrong(kind, runs, told, tmp_path):
-    good = json.loads((runs[kind] / "result.json").read_text())
-    folder = copied(runs[kind], tmp_path / "run")
-    taken: dict[Path_, list[Any]] = {}
-    for path in key_paths(good):
-        for wrong in WRONG:
-            put(folder, changed(good, path, wrong))
-            with contextlib.suppress(io.FileError):
-                read_result(folder) if kind == "sweep" else read_run(folder)
-                taken.setdefault(path, []).append(wrong)
-    # What is read without an objection can be reported and compared, many such values at once.
-    assert taken
-    leaves = [path for path in taken if not any(other[: len(path)] == path != other for other in taken)]
-    for turn in range(max(len(taken[path]) for path in leaves)):
-        result = good
-        for path in reversed(leaves):
-            result = changed(result, path, taken[path][turn % len(taken[path])])
-        put(folder, result)
-        told("report", folder)
-        if kind != "sweep":
-            told("compare", folder, runs[kind], "--output", tmp_path / "page.html")
 
 
 @pytest.mark.parametrize("path", [("metrics",), ("metrics", "pixels"), ("seconds",), ("fitted", "bias.constant")])
@@ -146,6 +108,8 @@ def test_parts_of_a_result_that_disagree_are_reported(runs, told, tmp_path):
             "bounds.filter.radius: are 0 and 0; expected lower less",
         ),
         (("metrics", "lights", 0, "light"), "scene.lights.7", "holds files of different runs"),
+        (("metrics", "shown"), [9], "metrics.shown: is [9]; expected less than 1"),
+        (("seed",), None, "command and seed: are not both there"),
         (("metrics", "pixels"), 7, "640 pixels count in the array mask; expected the 7 of result.json"),
     ):
         put(folder, changed(good, path, new))
@@ -221,27 +185,8 @@ def test_arrays_are_checked_before_memory_is_taken(harm, runs, told, tmp_path):
     apply, said = HARMS[harm]
     apply(folder)
     assert said in told("report", folder)
-    assert said in told("compare", runs["fit"], folder)
-
-
-def test_member_that_is_larger_than_it_says_is_refused(runs, told, tmp_path):
-    """Sizes in the archive's directory that suit the header, and content that does not."""
-    folder = copied(runs["fit"], tmp_path / "run")
-    member("after", header((24, 32)) + bytes(24 * 32 * 4))(folder)
-    content = bytearray((folder / "arrays.npz").read_bytes())
-    at = content.rindex(b"after.npy") - 46
-    packed, size = struct.unpack_from("<II", content, at + 20)
-    struct.pack_into("<II", content, at + 20, packed - 4, size)
-    (folder / "arrays.npz").write_bytes(content)
-    assert "arrays.npz is damaged" in told("report", folder)
-
-
-@pytest.mark.exhaustive
-def test_history_that_is_not_finite_is_drawn(runs, told, tmp_path):
-    """A fit may pass through places where nothing can be computed."""
-    folder = copied(runs["fit"], tmp_path / "run")
-    archive(lambda a: (a["history_loss"][:3].fill(np.nan), a["history_values"][2:5].fill(np.inf)))(folder)
-    assert told("report", folder, "--figures", "svg") == ""
+    if harm in ("missing", "pipe"):
+        assert said in told("compare", runs["fit"], folder)
 
 
 def test_other_files_of_a_folder_do_no_harm(runs, told, tmp_path):
@@ -251,21 +196,6 @@ def test_other_files_of_a_folder_do_no_harm(runs, told, tmp_path):
     os.mkfifo(folder / "pipe.png")
     (folder / "half.png").write_bytes(b"\x89PNG")
     assert told("report", folder) == ""
-
-
-def test_flipped_bytes_of_any_file_are_no_traceback(runs, told, tmp_path):
-    rng = np.random.default_rng(5)
-    for kind, names in (("fit", ("result.json", "arrays.npz", "config.yaml")), ("sweep", ("results.parquet",))):
-        for name in names:
-            good = (runs[kind] / name).read_bytes()
-            for _ in range(6):
-                folder = copied(runs[kind], tmp_path / "run")
-                content = bytearray(good)
-                for at in rng.integers(len(content), size=3):
-                    content[at] ^= int(rng.integers(1, 256))
-                (folder / name).write_bytes(content)
-                code = run("report", folder)
-                assert code in (0, 2)
 
 
 # Sweeps.
@@ -301,30 +231,6 @@ def swept() -> list[Path]:
     return [folder / "runs" / run.id for run in sweep.runs]
 
 
-@pytest.mark.exhaustive
-def test_sweep_does_a_run_again_whose_result_is_wrong_anywhere(counted):
-    places = swept()
-    good = json.loads((places[0] / "result.json").read_text())
-    settings = load_sweep(Path("s.yaml")).settings
-    sweep_folder, kept = places[0].parent.parent, 0
-    for path in key_paths({name: good[name] for name in sweep_work.Outcome._fields}):
-        for wrong in WRONG:
-            result = changed(good, path, wrong)
-            put(places[0], result)
-            outcome = sweep_work.read_outcome(sweep_folder, good["id"], settings, failed=True)
-            if outcome is not None and result != good:
-                kept += 1
-                # Only a number for a number, or none.
-                assert path[0] in ("metrics", "seconds"), (path, wrong)
-                assert len(path) == 2 or path == ("seconds",), (path, wrong)
-    assert kept > 0
-    for at, wrong in ((("metrics",), []), (("metrics", "rmse"), "text"), (("metrics", "rmse"), DELETED)):
-        put(places[0], changed(good, at, wrong))
-        del counted[:]
-        swept()
-        assert counted == [1.0]
-
-
 def test_whatever_stands_in_a_run_s_place_is_no_result(counted, tmp_path):
     places = swept()
     for place in places:
@@ -356,18 +262,6 @@ def test_pipe_for_a_result_is_not_waited_for(counted):
     assert counted == [1.0]
 
 
-@pytest.mark.exhaustive
-def test_run_that_is_not_unicode_is_named_all_the_same(counted, told, monkeypatch):
-    """A folder's name may hold bytes that are no text, and a program's output must be some."""
-    strange = os.fsdecode(b"b\xe4d")
-    Path(strange).mkdir()
-    monkeypatch.chdir(strange)
-    shutil.copy("../s.yaml", "s.yaml")
-    assert told("sweep", Path.cwd() / "s.yaml", "--workers", "0") == ""
-    assert told("report", "runs/s-sweep") == ""
-    assert "b\\udce4d" in (Path("runs/s-sweep/report.html")).read_text()
-
-
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -396,13 +290,3 @@ def test_damaged_configuration_of_a_run_costs_a_sweep_only_its_settings(runs, to
     place.mkdir(parents=True)
     (place / "config.yaml").write_text("sede: 1")
     assert told("report", folder) == ""
-
-
-def test_damaged_entry_of_the_cache_is_computed_again(tmp_path):
-    arrays = io.cached_arrays(["key"], lambda: {"a": np.ones(3)}, tmp_path)
-    (entry,) = tmp_path.glob("*.npz")
-    with zipfile.ZipFile(entry, "w") as new:
-        # More than any machine has.
-        new.writestr("_a.npy", header((10**12,), "<f8"))
-    again = io.cached_arrays(["key"], lambda: {"a": np.ones(3)}, tmp_path)
-    np.testing.assert_array_equal(again["a"], arrays["a"])

@@ -287,25 +287,6 @@ def test_errors_of_several_lights_are_those_of_all_their_pixels():
     assert combined(errors, drawn) == pytest.approx({"mae": 0.175, "rmse": np.sqrt(0.07)})
 
 
-@pytest.mark.exhaustive
-def test_any_text_may_name_a_run(tmp_path):
-    """No name is taken for mathematics, left out of a legend, obeyed by a terminal or warned of."""
-    names = ["_hidden", "$x_{\\frac", "\u65e5\u672c", "a\x1b[31m\nb\x85<i>"]
-    folders = [write_fit(tmp_path / name, shift=i) for i, name in enumerate(names)]
-    out = text_io.StringIO()
-    page = study.compare(folders, tmp_path / "page.html", console=Console(file=out, width=200))
-    parsed = Parsed(page)
-    check_alone(parsed)
-    shown = ["_hidden", "$x_{\\frac", "\u65e5\u672c", "a\\x1b[31m\\nb\\x85<i>"]
-    assert all(f"{name} − reference" in parsed.names for name in shown)
-    (svg,) = re.findall(r"<svg.*?</svg>", parsed.page, re.DOTALL)
-    for name in (*shown[:3], "a\\x1b[31m\\nb\\x85&lt;i&gt;"):
-        assert f"{name}</text>" in svg
-        assert name.replace("&lt;", "<").replace("&gt;", ">") in out.getvalue()
-    for text in (out.getvalue(), parsed.page):
-        assert text.replace("\n", "").isprintable()
-
-
 def test_report_of_a_sweep_has_means_spreads_and_failures(tmp_path):
     folder = write_sweep(tmp_path / "radii-sweep")
     (folder / "mine.png").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(8) + (32).to_bytes(4) + (16).to_bytes(4))

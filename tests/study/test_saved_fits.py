@@ -94,23 +94,6 @@ def test_a_saved_fit_is_a_run_like_the_commands(seen, tmp_path):
 
 
 @pytest.mark.exhaustive
-def test_a_saved_fit_of_several_images_shows_each_and_replaces_an_earlier_one(seen, tmp_path):
-    one = result_of(seen, "bias.constant", 40.0, 0.5)
-    (tmp_path / "mine").mkdir()
-    study.save_fit(one, tmp_path / "mine")
-    (tmp_path / "mine" / "notes.txt").write_text("mine")
-    # A problem without its scene has no shaded picture.
-    both = one._replace(problems=(seen, dataclasses.replace(seen, scene=None)))
-    folder = study.save_fit(both, str(tmp_path / "mine"))
-    stored, page = json.loads((folder / "result.json").read_text()), study.report(folder).read_text()
-    assert [light["light"] for light in stored["metrics"]["lights"]] == ["image 0", "image 1"]
-    assert "View by view" in page
-    assert (folder / "comparison_1.png").is_file()
-    assert not (folder / "shaded.png").exists()
-    assert (folder / "notes.txt").read_text() == "mine"
-
-
-@pytest.mark.exhaustive
 def test_a_saved_fit_of_poses_shows_the_way_of_a_light(tmp_path):
     """Of two suns, only the second has an image."""
     scene = Scene(MESHES, SCENE.camera, [SCENE.light, SCENE.light])

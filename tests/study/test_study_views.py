@@ -3,7 +3,6 @@
 import io as text_io
 import json
 import os
-import shutil
 import subprocess
 import sys
 
@@ -14,7 +13,7 @@ from rich.console import Console
 from scenes import free_port, staying_in
 from stored_runs import TINY
 
-from diffshadow import io, study
+from diffshadow import study
 from diffshadow.config import ConfigError, build_fittable, parse_config
 from diffshadow.study.runs._progress import Stages
 from diffshadow.study.runs._setup import draw, load
@@ -114,16 +113,6 @@ def test_processes_that_cannot_share_a_fit_are_refused(monkeypatch):
         study.run_fit(parse_config(moving, ["fit.devices=0"], fitting=True), console=Console(quiet=True))
 
 
-@pytest.mark.exhaustive
-def test_a_stored_view_that_does_not_exist_is_damage(run, tmp_path):
-    folder = shutil.copytree(run[0], tmp_path / "views")
-    result = json.loads((folder / "result.json").read_text())
-    result["metrics"]["shown"] = [3]
-    (folder / "result.json").write_text(json.dumps(result))
-    with pytest.raises(io.FileError, match=r"metrics\.shown: is \[3\]; expected less than 3"):
-        study.report(folder)
-
-
 def test_a_view_that_sees_nothing_is_named(tmp_path):
     away = "{label: away, scene.camera: {resolution: [64, 64], eye: [0, 5, 0], target: [0, 10, 1]}}"
     config = parse_config(TINY, [f"fit.views={{list: [{away}]}}"], fitting=True)
@@ -158,10 +147,3 @@ def test_flip_of_many_views_is_of_some_from_all_over():
     some = _spaced(0, 1000)
     assert (some[0], some[-1], len(set(some))) == (0, 999, 32)
     assert max(np.diff(some)) <= 33
-
-
-@pytest.mark.exhaustive
-def test_a_render_takes_a_configuration_with_views(tmp_path):
-    with staying_in(tmp_path):
-        folder = study.run_render(parse_config(TINY, VIEWS), console=Console(quiet=True))
-        assert len(json.loads((folder / "result.json").read_text())["metrics"]["lights"]) == 1
