@@ -21,21 +21,19 @@ _OTHERS = (
 class Mutant(NamedTuple):
     """A change that an operator makes at one place.
 
-    - `file`: below `diffshadow/`; `name`: the line, before and after; `source`: the whole file after it.
-    - `tests`: files of tests that mirror the module.
+    `file`: below `diffshadow/`; `name`: the line, before and after; `source`: the whole file after it.
     """
 
     file: str
     name: str
     source: str
-    tests: tuple[str, ...]
 
     def changed(self, before: str) -> str | None:
         """The file with the change, given the file without; none if it does not apply."""
         return self.source if self.source != before else None
 
 
-def draw(package: Path, tests: Path, files: Sequence[Path], count: int, seed: int) -> Iterator[Mutant]:
+def draw(package: Path, files: Sequence[Path], count: int, seed: int) -> Iterator[Mutant]:
     """`count` mutants of `files` at as many places, each drawn uniformly; all places if there are fewer.
 
     An operator of those that suit a place is drawn uniformly, too.
@@ -43,20 +41,11 @@ def draw(package: Path, tests: Path, files: Sequence[Path], count: int, seed: in
     rng = random.Random(seed)
     sources = {file: file.read_text(encoding="utf-8") for file in sorted(files)}
     places = [(file, place, ways) for file, source in sources.items() for place, ways in _places(source)]
-    for file, (begin, _), ways in rng.sample(places, min(count, len(places))):
+    for file, _, ways in rng.sample(places, min(count, len(places))):
         before, after = sources[file], _mutated(sources[file], *rng.choice(ways))
-        number, first, second = _first_difference(before, after, begin[0])
-        relative = file.relative_to(package)
+        number, first, second = first_difference(before, after)
         name = f"line {number}: {first.strip()} -> {second.strip()}"
-        yield Mutant(str(relative), name, after, mirrors(relative, tests))
-
-
-def mirrors(module: Path, tests: Path) -> tuple[str, ...]:
-    """The test files for a module, below `tests`: the files with its name, or all files in its folder."""
-    stem, folder = module.stem.strip("_"), tests / module.parts[0].removesuffix(".py")
-    named = sorted(tests.rglob(f"test_{stem}.py"))
-    found = named or sorted(folder.glob("**/test_*.py")) or sorted(tests.glob(f"test_{module.parts[0].strip('_')}*"))
-    return tuple(str(path.relative_to(tests)) for path in found)
+        yield Mutant(str(file.relative_to(package)), name, after)
 
 
 def _places(source: str) -> list[tuple[Place, list[tuple[str, int]]]]:
@@ -112,9 +101,7 @@ def _left_out(source: str) -> list[Place]:
     return found
 
 
-def _first_difference(before: str, after: str, line: int) -> tuple[int, str, str]:
-    """Number and texts of the first line that differs, or of `line`."""
-    for number, (one, other) in enumerate(zip(before.splitlines(), after.splitlines(), strict=False), start=1):
-        if one != other:
-            return number, one, other
-    return line, before.splitlines()[line - 1], after.splitlines()[line - 1]
+def first_difference(before: str, after: str) -> tuple[int, str, str]:
+    """Number and texts of the first line that differs."""
+    pairs = enumerate(zip(before.splitlines(), after.splitlines(), strict=False), start=1)
+    return next((number, one, other) for number, (one, other) in pairs if one != other)

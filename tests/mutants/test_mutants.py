@@ -36,13 +36,6 @@ def test_a_kept_mistake_lies_in_its_function_alone():
     assert of("Two.three") is None
 
 
-def test_every_module_has_tests_that_mirror_it():
-    assert draw.mirrors(Path("shadow/filters/_tent.py"), TESTS) == ("shadow/test_tent.py",)
-    assert "fit/test_fit.py" in draw.mirrors(Path("fit/_solve.py"), TESTS)
-    for module in PACKAGE.rglob("*.py"):
-        assert draw.mirrors(module.relative_to(PACKAGE), TESTS) or module.parent == PACKAGE or module.stem == "__init__"
-
-
 def test_mutants_are_drawn_where_code_computes(tmp_path):
     pytest.importorskip("cosmic_ray", reason="make mutants installs cosmic-ray")
     package = tmp_path / "diffshadow"
@@ -52,13 +45,11 @@ def test_mutants_are_drawn_where_code_computes(tmp_path):
         '    """1 + 1."""\n    if x is None:\n        raise ValueError(f"{1 + 1}")\n    return x / 2\n'
     )
     (package / "half.py").write_text(source)
-    found = list(draw.draw(package, TESTS, [package / "half.py"], 100, 3))
+    found = list(draw.draw(package, [package / "half.py"], 100, 3))
     # The condition, the division and its number.
     assert sorted({each.name.partition(":")[0] for each in found}) == ["line 7", "line 9"]
     assert len(found) == 3
-    assert [each.name for each in draw.draw(package, TESTS, [package / "half.py"], 100, 3)] == [
-        each.name for each in found
-    ]
+    assert [each.name for each in draw.draw(package, [package / "half.py"], 100, 3)] == [each.name for each in found]
 
 
 def _repository(folder: Path) -> Path:

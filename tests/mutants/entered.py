@@ -1,0 +1,122 @@
+"""Which everyday tests enter each line of the package, and how long they take: measured once for each state of a file.
+
+pytest-cov tells the lines of each test. JAX runs a function's Python code once for all tests of a process, so that only
+the first of them enters its lines: the others of its file are taken after it.
+"""
+
+import ast
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Sequence
+from itertools import accumulate
+from pathlib import Path
+from typing import NamedTuple
+
+PACKAGE = "diffshadow"
+_OPTIONS = ("--dist", "no", "--maxfail", "0", "--cov", "--cov-context", "test", "--cov-report", "")
+
+
+class Measured(NamedTuple):
+    """What the tests of a file enter.
+
+    - `seconds`: of each test, by its identifier, in pytest's order.
+    - `lines`: by the package's file and line, places in `seconds` of the tests that enter it.
+    - `arcs`: by the package's file, pairs of lines that ran one after the other.
+    """
+
+    seconds: dict[str, float]
+    lines: dict[str, dict[str, list[int]]]
+    arcs: dict[str, list[tuple[int, int]]]
+
+
+def tests_of(measured: Sequence[Measured], file: str, source: str, line: int, budget: float) -> list[str]:
+    """The tests that enter the statement at a line of a file of the package, and then the others of their files.
+
+    Files whose tests cost least come first. No test is taken that would end after `budget` seconds, but for the first.
+    What runs at import is entered by all tests that run code of the module, or else of its folder.
+    """
+    if (span := _span(source, line)) is not None:
+        entering = list(_entering(measured, lambda name, at: name == file and at in span))
+    else:
+        beside = lambda name, at: Path(name).parent == Path(file).parent
+        entering = list(_entering(measured, lambda name, at: name == file)) or list(_entering(measured, beside))
+    entering.sort(key=lambda each: sum(seconds for seconds, _ in each[0]))
+    ordered = [test for first, _ in entering for test in first] + [test for _, rest in entering for test in rest]
+    ends = accumulate(seconds for seconds, _ in ordered)
+    return [name for (_, name), end in zip(ordered, ends, strict=True) if end <= budget or name == ordered[0][1]]
+
+
+def _entering(
+    measured: Sequence[Measured], enters: Callable[[str, int], bool]
+) -> Iterator[tuple[list[tuple[float, str]], list[tuple[float, str]]]]:
+    """Seconds and names of the tests that enter some lines, the cheapest first, and of the others of their file."""
+    for each in measured:
+        lines = [tests for file, found in each.lines.items() for at, tests in found.items() if enters(file, int(at))]
+        if entering := set().union(*lines):
+            tests = [(seconds, name) for name, seconds in each.seconds.items()]
+            first = [test for n, test in enumerate(tests) if n in entering]
+            yield sorted(first), [test for n, test in enumerate(tests) if n not in entering]
+
+
+def _span(source: str, line: int) -> range | None:
+    """The lines of the innermost statement at a line, without statements within it; none for what runs at import."""
+    found, is_called = range(line, line + 1), False
+    # Outer nodes come first.
+    for node in ast.walk(ast.parse(source)):
+        body = getattr(node, "body", [])
+        body = body if isinstance(body, list) else [body]
+        if isinstance(node, ast.FunctionDef | ast.Lambda):
+            is_called |= body[0].lineno <= line <= body[-1].end_lineno
+        if isinstance(node, ast.stmt) and node.lineno <= line <= node.end_lineno:
+            found = range(node.lineno, max(body[0].lineno, line + 1) if body else node.end_lineno + 1)
+    return found if is_called else None
+
+
+def measured(root: Path, cache: Path, run: Callable[..., dict[str, float]]) -> Iterator[Measured]:
+    """What the everyday tests in `root` enter, a file of tests after the other; only what changed is measured.
+
+    `run` runs pytest in `root` with some arguments and returns the seconds of each test.
+    """
+    files = [file for folder in (PACKAGE, "tests") for file in sorted((root / folder).rglob("*.py"))]
+    tests = [file for file in files if file.name.startswith("test_")]
+    # The tester itself changes nothing of what tests enter.
+    others = [file for file in files if file not in tests and file.parent != root / "tests" / "mutants"]
+    shared = b"".join(file.read_bytes() for file in others)
+    records = {file: cache / f"{hashlib.sha256(shared + file.read_bytes()).hexdigest()[:32]}.json" for file in tests}
+    cache.mkdir(parents=True, exist_ok=True)
+    for old in set(cache.iterdir()) - set(records.values()):
+        old.unlink()
+    for n, (file, record) in enumerate(records.items(), start=1):
+        if not record.exists():
+            name = file.relative_to(root).as_posix()
+            print(f"[{n}/{len(tests)}] which lines the tests in {name} enter", flush=True)
+            record.write_text(json.dumps(_measured(root, run(*_OPTIONS, name))))
+        yield Measured(*json.loads(record.read_text()))
+
+
+def _measured(root: Path, seconds: dict[str, float]) -> Measured:
+    from coverage import CoverageData
+
+    data, places = CoverageData(str(root / ".coverage")), {name: n for n, name in enumerate(seconds)}
+    data.read()
+    lines = {
+        file: {
+            str(line): tests
+            for line, contexts in data.contexts_by_lineno(file).items()
+            # The phase of a test follows its name; what runs at import has no name.
+            if (tests := sorted({places[each.rpartition("|")[0]] for each in contexts if each}))
+        }
+        for file in data.measured_files()
+    }
+    return Measured(seconds, lines, {file: data.arcs(file) or [] for file in data.measured_files()})
+
+
+def print_missing(measured: Sequence[Measured], paths: Sequence[str]) -> None:
+    """Prints the lines and branches of files and folders that no everyday test enters."""
+    from coverage import Coverage
+
+    report = Coverage(data_file=None)
+    for each in measured:
+        report.get_data().add_arcs(each.arcs)
+    include = [path if path.endswith(".py") else f"{path.rstrip('/')}/*" for path in paths]
+    report.report(include=include, show_missing=True, skip_covered=True)
