@@ -19,9 +19,9 @@ _OPTIONS = ("--dist", "no", "--maxfail", "0", "--cov", "--cov-context", "test", 
 class Measured(NamedTuple):
     """What the tests of a file enter.
 
-    - `seconds`: of each test, by its identifier, in pytest's order.
-    - `lines`: by the package's file and line, places in `seconds` of the tests that enter it.
-    - `arcs`: by the package's file, pairs of lines that ran one after the other.
+    - `seconds`: of each test that passes, by its identifier, in pytest's order.
+    - `lines`: by file of the package or the tests and by line, places in `seconds` of the tests that enter it.
+    - `arcs`: by file, pairs of lines that ran one after the other.
     """
 
     seconds: dict[str, float]
@@ -73,25 +73,27 @@ def _span(source: str, line: int) -> range | None:
 
 
 def measured(root: Path, cache: Path, run: Callable[..., dict[str, float]]) -> Iterator[Measured]:
-    """What the everyday tests in `root` enter, a file of tests after the other; only what changed is measured.
+    """What the everyday tests in `root` enter, a file of tests after the other.
 
-    `run` runs pytest in `root` with some arguments and returns the seconds of each test.
+    `run` runs pytest in `root` with some arguments and returns the seconds of each test that passes. Records in the
+    folder `cache` serve again, until a file of tests or what its tests enter changes.
     """
-    files = [file for folder in (PACKAGE, "tests") for file in sorted((root / folder).rglob("*.py"))]
-    tests = [file for file in files if file.name.startswith("test_")]
-    # The tester itself changes nothing of what tests enter.
-    others = [file for file in files if file not in tests and file.parent != root / "tests" / "mutants"]
-    shared = b"".join(file.read_bytes() for file in others)
-    records = {file: cache / f"{hashlib.sha256(shared + file.read_bytes()).hexdigest()[:32]}.json" for file in tests}
-    cache.mkdir(parents=True, exist_ok=True)
-    for old in set(cache.iterdir()) - set(records.values()):
-        old.unlink()
-    for n, (file, record) in enumerate(records.items(), start=1):
-        if not record.exists():
-            name = file.relative_to(root).as_posix()
-            print(f"[{n}/{len(tests)}] which lines the tests in {name} enter", flush=True)
-            record.write_text(json.dumps(_measured(root, run(*_OPTIONS, name))))
-        yield Measured(*json.loads(record.read_text()))
+    for file in sorted((root / "tests").rglob("test_*.py")):
+        name = file.relative_to(root).as_posix()
+        record = cache / f"{name}.json"
+        digest, *found = json.loads(record.read_text()) if record.exists() else ("", {}, {}, {})
+        if digest != _digest(root, [name, *found[1]]):
+            print(f"which lines the tests in {name} enter", flush=True)
+            found = _measured(root, run(*_OPTIONS, name))
+            record.parent.mkdir(parents=True, exist_ok=True)
+            record.write_text(json.dumps([_digest(root, [name, *found.lines]), *found]))
+        yield Measured(*found)
+
+
+def _digest(root: Path, names: Sequence[str]) -> str:
+    """Of the contents of files."""
+    contents = [path.read_bytes() for path in (root / name for name in sorted(names)) if path.exists()]
+    return hashlib.sha256(b"".join(contents)).hexdigest()
 
 
 def _measured(root: Path, seconds: dict[str, float]) -> Measured:
@@ -99,15 +101,13 @@ def _measured(root: Path, seconds: dict[str, float]) -> Measured:
 
     data, places = CoverageData(str(root / ".coverage")), {name: n for n, name in enumerate(seconds)}
     data.read()
-    lines = {
-        file: {
-            str(line): tests
-            for line, contexts in data.contexts_by_lineno(file).items()
+    lines = {}
+    for file in data.measured_files():
+        for line, contexts in data.contexts_by_lineno(file).items():
             # The phase of a test follows its name; what runs at import has no name.
-            if (tests := sorted({places[each.rpartition("|")[0]] for each in contexts if each}))
-        }
-        for file in data.measured_files()
-    }
+            tests = {places[name] for name in (each.rpartition("|")[0] for each in contexts) if name in places}
+            if tests:
+                lines.setdefault(file, {})[str(line)] = sorted(tests)
     return Measured(seconds, lines, {file: data.arcs(file) or [] for file in data.measured_files()})
 
 

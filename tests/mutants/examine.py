@@ -137,18 +137,15 @@ class Copy:
             if tests:
                 verdict, what = self._tested(mistake, tests, 60 + _SLOWNESS * budget)
             if verdict == MISSED and whole:
-                verdict, what = self._tested(mistake, ["tests"], _HANGS)
+                verdict, what = self._tested(mistake, [name for each in entered for name in each.seconds], _HANGS)
         finally:
             self._write(file, before)
         return judged(verdict, what)
 
     def seconds(self, *arguments: str) -> dict[str, float]:
-        """What pytest's tests take, by their identifiers."""
-        return self._pytest(*arguments).seconds
-
-    def failing(self, tests: Sequence[str]) -> set[str]:
-        """Those of `tests` that fail without any fault."""
-        return set(self._pytest("--maxfail", "0", *tests).failed)
+        """What pytest's tests take that pass, by their identifiers."""
+        done = self._pytest(*arguments)
+        return {name: seconds for name, seconds in done.seconds.items() if name not in done.failed}
 
     def kill(self) -> None:
         """Ends the tests that run, and the process that they are forks of; from any thread."""
@@ -171,7 +168,7 @@ class Copy:
         if code < 0:
             return CRASHES, f"signal {-code}"
         if code == 0:
-            return MISSED, f"{len(tests)} tests" if tests != ["tests"] else "all tests"
+            return MISSED, f"{len(tests)} tests"
         if code == 1 and failed:
             return CAUGHT, failed[0]
         module = f"{PACKAGE}/{mistake.file}".removesuffix(".py").removesuffix("/__init__").replace("/", ".")
@@ -267,25 +264,6 @@ def _clean_copy() -> Iterator[Copy]:
             copy.close()
 
 
-def confirmed(verdicts: Sequence[Verdict]) -> list[Verdict]:
-    """The verdicts, but none where the test that caught a mistake fails without it too."""
-    tests = sorted({each.what for each in verdicts if each.verdict == CAUGHT})
-    if not tests:
-        return list(verdicts)
-    with _clean_copy() as copy:
-        failing = copy.failing(tests)
-    doubtful = lambda each: each.verdict == CAUGHT and each.what in failing
-    return [each._replace(verdict=UNKNOWN) if doubtful(each) else each for each in verdicts]
-
-
-def _without_doubt(verdicts: list[Verdict]) -> list[Verdict]:
-    sure = confirmed(verdicts)
-    for before, after in zip(verdicts, sure, strict=True):
-        if after != before:
-            print(f"{after.what} fails without {after.mistake.name!r} too: that counts for nothing")
-    return sure
-
-
 def _drawn(paths: Sequence[str], count: int, seed: int) -> list[Mutant]:
     files = [
         file for path in paths for file in ([ROOT / path] if path.endswith(".py") else (ROOT / path).rglob("*.py"))
@@ -329,7 +307,6 @@ def main() -> None:
         for verdict in examined(mistakes, asked.workers, entered, asked.budget, asked.whole):
             verdicts.append(verdict)
             print(f"[{len(verdicts)}/{len(mistakes)}] {verdict}", flush=True)
-        verdicts = _without_doubt(verdicts)
     except KeyboardInterrupt:
         print("interrupted")
     if asked.json is not None:
