@@ -4,6 +4,7 @@ import ast
 import random
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -41,11 +42,21 @@ def draw(package: Path, files: Sequence[Path], count: int, seed: int) -> Iterato
     rng = random.Random(seed)
     sources = {file: file.read_text(encoding="utf-8") for file in sorted(files)}
     places = [(file, place, ways) for file, source in sources.items() for place, ways in _places(source)]
-    for file, _, ways in rng.sample(places, min(count, len(places))):
-        before, after = sources[file], _mutated(sources[file], *rng.choice(ways))
-        number, first, second = first_difference(before, after)
-        name = f"line {number}: {first.strip()} -> {second.strip()}"
-        yield Mutant(str(file.relative_to(package)), name, after)
+    drawn = (
+        _mutant(package, file, sources[file], *rng.choice(ways)) for file, _, ways in rng.sample(places, len(places))
+    )
+    return islice(filter(None, drawn), count)
+
+
+def _mutant(package: Path, file: Path, before: str, operator: str, occurrence: int) -> Mutant | None:
+    """None where an operator takes a star for a product and leaves no Python."""
+    after = _mutated(before, operator, occurrence)
+    try:
+        ast.parse(after)
+    except SyntaxError:
+        return None
+    number, first, second = first_difference(before, after)
+    return Mutant(str(file.relative_to(package)), f"line {number}: {first.strip()} -> {second.strip()}", after)
 
 
 def _places(source: str) -> list[tuple[Place, list[tuple[str, int]]]]:
