@@ -253,17 +253,6 @@ def examined(
                 thread.join()
 
 
-@contextlib.contextmanager
-def _clean_copy() -> Iterator[Copy]:
-    with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
-        copy = Copy(ROOT, Path(folder).resolve() / "clean")
-        try:
-            copy.check_import()
-            yield copy
-        finally:
-            copy.close()
-
-
 def _drawn(paths: Sequence[str], count: int, seed: int) -> list[Mutant]:
     files = [
         file for path in paths for file in ([ROOT / path] if path.endswith(".py") else (ROOT / path).rglob("*.py"))
@@ -277,7 +266,11 @@ def _drawn(paths: Sequence[str], count: int, seed: int) -> list[Mutant]:
 
 
 def _entered() -> list[Measured]:
-    with _clean_copy() as copy:
+    with (
+        tempfile.TemporaryDirectory(prefix="mutants-") as folder,
+        contextlib.closing(Copy(ROOT, Path(folder).resolve() / "0")) as copy,
+    ):
+        copy.check_import()
         return list(measured(copy.root, CACHE, copy.seconds))
 
 
