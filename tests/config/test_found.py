@@ -67,6 +67,7 @@ def test_z_up_is_what_the_camera_says():
     assert config.scene.light.direction == pytest.approx((x, -z, y), abs=1e-5)
     plane = build_scene(config).meshes[1]
     assert np.ptp(np.asarray(plane.vertices)[:, 2]) == pytest.approx(0, abs=1e-5)
+    np.testing.assert_allclose(plane.corner_normals[0, 0], (0, 0, 1), atol=1e-5)
 
 
 def test_views_share_the_camera_unless_they_place_it():
