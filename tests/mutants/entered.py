@@ -7,6 +7,7 @@ the first of them enters its lines: the others of its file are taken after it.
 import ast
 import hashlib
 import json
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from itertools import accumulate
 from pathlib import Path
@@ -32,30 +33,46 @@ class Measured(NamedTuple):
 def tests_of(measured: Sequence[Measured], file: str, source: str, line: int, budget: float) -> list[str]:
     """The tests that enter the statement at a line of a file of the package, and then the others of their files.
 
-    Files whose tests cost least come first. No test is taken that would end after `budget` seconds, but for the first.
-    What runs at import is entered by all tests that run code of the module, or else of its folder.
+    The cheapest tests are taken, from the folder that is named like the package's first, until they take `budget`
+    seconds; there is at least one. Those of a file of tests stay together, cheap files first. What runs at import is
+    entered by all tests that run code of the module, or else of its folder.
     """
     if (span := _span(source, line)) is not None:
-        entering = list(_entering(measured, lambda name, at: name == file and at in span))
+        entering = _entering(measured, lambda name, at: name == file and at in span)
     else:
         beside = lambda name, at: Path(name).parent == Path(file).parent
-        entering = list(_entering(measured, lambda name, at: name == file)) or list(_entering(measured, beside))
-    entering.sort(key=lambda each: sum(seconds for seconds, _ in each[0]))
-    ordered = [test for first, _ in entering for test in first] + [test for _, rest in entering for test in rest]
-    ends = accumulate(seconds for seconds, _ in ordered)
-    return [name for (_, name), end in zip(ordered, ends, strict=True) if end <= budget or name == ordered[0][1]]
+        entering = _entering(measured, lambda name, at: name == file) or _entering(measured, beside)
+    folder = f"tests/{Path(file).parts[1]}/"
+    entering.sort(key=lambda test: (test.only_beside, not test.name.startswith(folder), test.seconds))
+    ends = accumulate(test.seconds for test in entering)
+    taken = [test for n, (test, end) in enumerate(zip(entering, ends, strict=True)) if end <= budget or n == 0]
+    costs = Counter[str]()
+    for test in taken:
+        costs[test.file] += test.seconds
+    return [test.name for test in sorted(taken, key=lambda test: costs[test.file])]
 
 
-def _entering(
-    measured: Sequence[Measured], enters: Callable[[str, int], bool]
-) -> Iterator[tuple[list[tuple[float, str]], list[tuple[float, str]]]]:
-    """Seconds and names of the tests that enter some lines, the cheapest first, and of the others of their file."""
+class _Test(NamedTuple):
+    """A test, with whether only others of its file enter the lines."""
+
+    name: str
+    seconds: float
+    only_beside: bool
+
+    @property
+    def file(self) -> str:
+        return self.name.partition("::")[0]
+
+
+def _entering(measured: Sequence[Measured], enters: Callable[[str, int], bool]) -> list[_Test]:
+    """All tests of the files whose tests enter some lines."""
+    found = []
     for each in measured:
-        lines = [tests for file, found in each.lines.items() for at, tests in found.items() if enters(file, int(at))]
+        lines = [tests for file, known in each.lines.items() for at, tests in known.items() if enters(file, int(at))]
         if entering := set().union(*lines):
-            tests = [(seconds, name) for name, seconds in each.seconds.items()]
-            first = [test for n, test in enumerate(tests) if n in entering]
-            yield sorted(first), [test for n, test in enumerate(tests) if n not in entering]
+            tests = enumerate(each.seconds.items())
+            found += [_Test(name, seconds, n not in entering) for n, (name, seconds) in tests]
+    return found
 
 
 def _span(source: str, line: int) -> range | None:

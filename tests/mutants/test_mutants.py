@@ -80,8 +80,9 @@ def test_tests_are_chosen_by_the_statement_that_they_enter():
     of = lambda line, budget=60, file="half": entered.tests_of(MEASURED, f"diffshadow/{file}.py", SOURCE, line, budget)
     # Cheap files first, in them cheap tests, and last the tests that may use what others of their file traced.
     assert of(5) == [f"{B}one", f"{A}short", f"{A}long", f"{A}other"]
-    assert of(5, 6) == [f"{B}one", f"{A}short"]
-    assert of(5, 1) == [f"{B}one"]
+    assert of(5, 15) == [f"{B}one", f"{A}short", f"{A}long"]
+    assert of(5, 6) == [f"{A}short", f"{B}one"]
+    assert of(5, 1) == [f"{A}short"]
     # A line within a statement is the statement's.
     assert of(7) == [f"{A}short", f"{A}long", f"{A}other"]
     assert of(13)[0] == f"{A}other"
