@@ -30,8 +30,9 @@ class Measured(NamedTuple):
     arcs: dict[str, list[tuple[int, int]]]
 
 
-def tests_of(measured: Sequence[Measured], file: str, source: str, line: int, budget: float) -> list[str]:
-    """The tests that enter the statement at a line of a file of the package, and then the others of their files.
+def tests_of(measured: Sequence[Measured], file: str, source: str, line: int, budget: float) -> dict[str, float]:
+    """The tests that enter the statement at a line of a file of the package, and then the others of their files: the
+    seconds of each.
 
     The cheapest tests are taken, from the folder that is named like the package's first, until they take `budget`
     seconds; there is at least one. Those of a file of tests stay together, cheap files first. What runs at import is
@@ -49,7 +50,7 @@ def tests_of(measured: Sequence[Measured], file: str, source: str, line: int, bu
     costs = Counter[str]()
     for test in taken:
         costs[test.file] += test.seconds
-    return [test.name for test in sorted(taken, key=lambda test: costs[test.file])]
+    return {test.name: test.seconds for test in sorted(taken, key=lambda test: costs[test.file])}
 
 
 class _Test(NamedTuple):

@@ -57,10 +57,8 @@ LIBRARIES = (
     "scipy.stats",
 )
 """What is loaded once for all runs of tests; none of them may import the package."""
-_SLOWNESS = 5
-"""Tests count as hanging once they take so many times as long as without a mistake."""
-_HANGS = 1800
-"""Seconds after which any tests count as hanging."""
+_HANGS = 60, 3
+"""Tests hang that take more seconds than the first and the second times what they take without a mistake."""
 # Libraries are loaded before pytest could rewrite their assertions.
 _IGNORED = "ignore::pytest.PytestAssertRewriteWarning"
 _OPTIONS = ["-n", "0", "-x", "-q", "-p", "no:cacheprovider", "--tb", "no", "-W", _IGNORED]
@@ -135,9 +133,9 @@ class Copy:
         try:
             self._write(file, after)
             if tests:
-                verdict, what = self._tested(mistake, tests, 60 + _SLOWNESS * budget)
+                verdict, what = self._tested(mistake, tests)
             if verdict == MISSED and whole:
-                verdict, what = self._tested(mistake, [name for each in entered for name in each.seconds], _HANGS)
+                verdict, what = self._tested(mistake, {name: s for each in entered for name, s in each.seconds.items()})
         finally:
             self._write(file, before)
         return judged(verdict, what)
@@ -161,8 +159,8 @@ class Copy:
             self._forks.communicate()
             self._forks = None
 
-    def _tested(self, mistake: Mistake, tests: Sequence[str], limit: float) -> tuple[str, str]:
-        code, failed, _, said = self._pytest(*tests, limit=limit)
+    def _tested(self, mistake: Mistake, tests: dict[str, float]) -> tuple[str, str]:
+        code, failed, _, said = self._pytest(*tests, limit=_HANGS[0] + _HANGS[1] * sum(tests.values()))
         if code is None:
             return HANGS, ""
         if code < 0:
@@ -176,7 +174,7 @@ class Copy:
             return AT_IMPORT, ""
         return UNKNOWN, f"pytest ended with {code}: {said.strip().rpartition(chr(10))[2]}"
 
-    def _pytest(self, *arguments: str, limit: float = _HANGS) -> _Run:
+    def _pytest(self, *arguments: str, limit: float = 3600) -> _Run:
         """Pytest with some arguments, ended after `limit` seconds."""
         if self._forks is None:
             program = [sys.executable, str(Path(__file__).with_name("forks.py")), *LIBRARIES]

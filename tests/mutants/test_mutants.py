@@ -77,7 +77,9 @@ MEASURED = [
 
 
 def test_tests_are_chosen_by_the_statement_that_they_enter():
-    of = lambda line, budget=60, file="half": entered.tests_of(MEASURED, f"diffshadow/{file}.py", SOURCE, line, budget)
+    def of(line, budget=60, file="half"):
+        return list(entered.tests_of(MEASURED, f"diffshadow/{file}.py", SOURCE, line, budget))
+
     # Cheap files first, in them cheap tests, and last the tests that may use what others of their file traced.
     assert of(5) == [f"{B}one", f"{A}short", f"{A}long", f"{A}other"]
     assert of(5, 15) == [f"{B}one", f"{A}short", f"{A}long"]
