@@ -1,7 +1,7 @@
 """Which everyday tests enter each line of the package, and how long they take: measured once for each state of a file.
 
 pytest-cov tells the lines of each test. JAX runs a function's Python code once for all tests of a process, so that only
-the first of them enters its lines: the others of its file are taken after it.
+the first of them enters its lines.
 """
 
 import ast
@@ -31,48 +31,43 @@ class Measured(NamedTuple):
 
 
 def tests_of(measured: Sequence[Measured], file: str, source: str, line: int, budget: float) -> dict[str, float]:
-    """The tests that enter the statement at a line of a file of the package, and then the others of their files: the
-    seconds of each.
+    """Which tests to run for a line of a file of the package, and the seconds of each.
 
-    The cheapest tests are taken, from the folder that is named like the package's first, until they take `budget`
-    seconds; there is at least one. Those of a file of tests stay together, cheap files first. What runs at import is
-    entered by all tests that run code of the module, or else of its folder.
+    They are those that enter the line's statement; in modules that import JAX also the others of their files, which may
+    use what the first of them traced. The cheapest are taken, in such modules from the cheapest files, and before
+    others those in the folder that is named like the package's, until they take `budget` seconds; there is at least
+    one. Those of a file stay together, cheap files first. What runs at import is entered by all tests that run code of
+    the module, or else of its folder.
     """
-    if (span := _span(source, line)) is not None:
-        entering = _entering(measured, lambda name, at: name == file and at in span)
+    folder, is_traced, span = f"tests/{Path(file).parts[1]}/", "import jax" in source, _span(source, line)
+    if span is not None:
+        found = _entering(measured, lambda name, at: name == file and at in span, is_traced)
     else:
         beside = lambda name, at: Path(name).parent == Path(file).parent
-        entering = _entering(measured, lambda name, at: name == file) or _entering(measured, beside)
-    folder = f"tests/{Path(file).parts[1]}/"
-    entering.sort(key=lambda test: (test.only_beside, not test.name.startswith(folder), test.seconds))
-    ends = accumulate(test.seconds for test in entering)
-    taken = [test for n, (test, end) in enumerate(zip(entering, ends, strict=True)) if end <= budget or n == 0]
-    costs = Counter[str]()
-    for test in taken:
-        costs[test.file] += test.seconds
-    return {test.name: test.seconds for test in sorted(taken, key=lambda test: costs[test.file])}
+        found = _entering(measured, lambda name, at: name == file, is_traced) or _entering(measured, beside, is_traced)
+    tests = sorted(
+        (not name.startswith(folder), sum(each.values()) if is_traced else 0, seconds, name)
+        for each in found
+        for name, seconds in each.items()
+    )
+    ends, spent = accumulate(test[2] for test in tests), Counter[str]()
+    taken = {name: seconds for n, (*_, seconds, name) in enumerate(tests) if next(ends) <= budget or n == 0}
+    file_of = lambda name: name.partition("::")[0]
+    for name, seconds in taken.items():
+        spent[file_of(name)] += seconds
+    return {name: taken[name] for name in sorted(taken, key=lambda name: spent[file_of(name)])}
 
 
-class _Test(NamedTuple):
-    """A test, with whether only others of its file enter the lines."""
-
-    name: str
-    seconds: float
-    only_beside: bool
-
-    @property
-    def file(self) -> str:
-        return self.name.partition("::")[0]
-
-
-def _entering(measured: Sequence[Measured], enters: Callable[[str, int], bool]) -> list[_Test]:
-    """All tests of the files whose tests enter some lines."""
+def _entering(
+    measured: Sequence[Measured], enters: Callable[[str, int], bool], with_others: bool
+) -> list[dict[str, float]]:
+    """Of each file with tests that enter some lines, the seconds of those tests, or of all."""
     found = []
     for each in measured:
         lines = [tests for file, known in each.lines.items() for at, tests in known.items() if enters(file, int(at))]
         if entering := set().union(*lines):
             tests = enumerate(each.seconds.items())
-            found += [_Test(name, seconds, n not in entering) for n, (name, seconds) in tests]
+            found.append({name: seconds for n, (name, seconds) in tests if with_others or n in entering})
     return found
 
 

@@ -77,21 +77,23 @@ MEASURED = [
 
 
 def test_tests_are_chosen_by_the_statement_that_they_enter():
-    def of(line, budget=60, file="half"):
-        return list(entered.tests_of(MEASURED, f"diffshadow/{file}.py", SOURCE, line, budget))
+    def of(line, budget=60, file="half", source=SOURCE):
+        return list(entered.tests_of(MEASURED, f"diffshadow/{file}.py", source, line, budget))
 
-    # Cheap files first, in them cheap tests, and last the tests that may use what others of their file traced.
-    assert of(5) == [f"{B}one", f"{A}short", f"{A}long", f"{A}other"]
-    assert of(5, 15) == [f"{B}one", f"{A}short", f"{A}long"]
+    # Cheap files first, and in them cheap tests.
+    assert of(5) == [f"{B}one", f"{A}short", f"{A}long"]
     assert of(5, 6) == [f"{A}short", f"{B}one"]
     assert of(5, 1) == [f"{A}short"]
     # A line within a statement is the statement's.
-    assert of(7) == [f"{A}short", f"{A}long", f"{A}other"]
-    assert of(13)[0] == f"{A}other"
+    assert of(7) == [f"{A}short", f"{A}long"]
+    assert of(13) == [f"{A}other"]
     # Import runs constants and defaults.
     assert of(1) == of(12) == [f"{B}one", f"{A}other", f"{A}short", f"{A}long"]
     assert of(1, file="new") == of(1)
     assert of(5, file="new") == []
+    # Other tests of a file may use what JAX traced.
+    assert of(13, source=f"{SOURCE}\n\nimport jax") == [f"{A}other", f"{A}short", f"{A}long"]
+    assert of(5, 8, source=f"{SOURCE}\n\nimport jax") == [f"{A}other", f"{A}short", f"{B}one"]
 
 
 def _repository(folder: Path) -> Path:
