@@ -127,6 +127,18 @@ def test_merged_meshes_keep_their_textures_and_padding_adds_none():
     np.testing.assert_allclose(colours, np.concatenate([np.ones((2, 3, 3)), COLOURS]), rtol=1e-6)
 
 
+def test_faces_of_one_texture_follow_those_of_another():
+    first, second = (
+        Textures.of(IMAGE, RANDOM.uniform(size=(n, 3, 2)), 0.5, corner_alpha=np.full((n, 3), n / 4)) for n in (1, 3)
+    )
+    second = dataclasses.replace(second, index=jnp.asarray([0, NO_TEXTURE, 0]))
+    both = first.followed_by(second)
+    for part in ("uv", "index", "corner_alpha"):
+        expected = np.concatenate([getattr(first, part), getattr(second, part)])
+        np.testing.assert_array_equal(getattr(both, part), expected)
+    np.testing.assert_array_equal(both.texels, first.texels)
+
+
 def test_a_mirror_keeps_colours_at_their_corners():
     mesh = textured(corner_colours=COLOURS)
     mirrored = mesh.transformed(scaling(jnp.array([1.0, 1.0, -1.0])))
