@@ -69,8 +69,10 @@ def _places(source: str) -> list[tuple[Place, list[tuple[str, int]]]]:
     for name in _operators():
         operator, number = get_operator(name)(), 0
         for node in nodes:
+            # The star of a signature is no product.
+            is_star = node.parent is not None and node.parent.type in ("parameters", "param")
             for begin, end in operator.mutation_positions(node):
-                if not any(low <= begin < high for low, high in left_out):
+                if not is_star and not any(low <= begin < high for low, high in left_out):
                     found[begin, end].append((name, number))
                 number += 1
     return sorted(found.items())

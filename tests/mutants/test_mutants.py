@@ -41,7 +41,7 @@ def test_mutants_are_drawn_where_code_computes(tmp_path):
     source = (
         "Number = dict[str, int | None]\n\n\n@cache(1 + 1)\ndef half(x: int | None) -> int | None:\n"
         '    """1 + 1."""\n    if x is None:\n        raise ValueError(f"{1 + 1}")\n    return x / 2\n'
-        "\n\ndef third(*, x):\n    return x\n"
+        "\n\ndef third(x, *, y):\n    return [*x, y]\n"
     )
     (package / "half.py").write_text(source)
     found = list(draw.draw(package, [package / "half.py"], 100, 3))
