@@ -167,7 +167,8 @@ class Copy:
             return CRASHES, f"signal {-code}"
         if code == 0:
             return MISSED, f"{len(tests)} tests"
-        if code == 1 and failed:
+        # Or a file of tests could not be imported.
+        if failed:
             return CAUGHT, failed[0]
         module = f"{PACKAGE}/{mistake.file}".removesuffix(".py").removesuffix("/__init__").replace("/", ".")
         if self._python(f"import {module}").returncode != 0:
