@@ -335,7 +335,7 @@ BROKEN = {
     ),
     "default initial out of bounds": (
         "fit:\n  parameters:\n    filter.radius: {lower: 3, upper: 4}\n",
-        "4: fit.parameters.filter.radius: starts at filter.radius = 2.0; expected a start from lower = 3 to upper = 4; "
+        "4: fit.parameters.filter.radius: starts at filter.radius = 2; expected a start from lower = 3 to upper = 4; "
         "give an initial value, change filter.radius, or widen the bounds",
     ),
     "parameter below its range": (

@@ -23,7 +23,7 @@ from diffshadow.config import (
     parse_config,
     with_fitted,
 )
-from diffshadow.config.sections._filters import FILTERS
+from diffshadow.config.sections._technique import FILTERS
 from diffshadow.fit import resolve
 from diffshadow.geometry import face_normals
 from diffshadow.io import MeshWarning

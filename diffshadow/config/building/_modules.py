@@ -19,16 +19,14 @@ from ..framing._meshes import Placed, place_mesh
 from ..framing._meshes import build_mesh as build_mesh
 from ..reading._dump import fit_units
 from ..reading._mistakes import mistakes_at
-from ..sections._fit import FitParameterConfig
-from ..sections._fitted import fit_paths
-from ..sections._poses import fits_each_intensity, is_pose, pose_of
-from ..whole._preferences import preferences
-from ..whole._schema import Config
+from ..sections._config import Config
+from ..sections._fit import FitParameterConfig, preferences
+from ..sections._fitted import fit_paths, is_pose, pose_of
 from ._scene import Stage, camera_on, light_on, stage_of
 from ._shape import Screen as Screen
 from ._shape import ShapePlan as ShapePlan
 from ._shape import plan_shape
-from ._technique import build_bias, build_compare, build_filter, build_layout, module_of
+from ._technique import build_bias, build_compare, build_filter, build_layout, module_of, values_of
 
 # 120 bytes per triangle, with normals, colours and indices.
 _MAX_TRIANGLES = 1 << 25
@@ -172,18 +170,19 @@ def build_technique(config: Config, *, fitting: bool = True) -> shadow.AbstractT
     if isinstance(config.technique, Mapped | Engine):
         return build_fittable(config, fitting=fitting)
     with _blame(config, ("technique",)):
-        return module_of(config.technique)(**_values(config.technique))
+        return module_of(config.technique)(**values_of(config.technique))
 
 
 def build_shadow_mapping(config: Config, *, fitting: bool = True) -> shadow.ShadowMapping:
     """The shadow mapping of `config`, even if its technique is another one; otherwise as `build_technique`."""
+    config = config.with_starts() if fitting else config
     with _blame(config, ("bias",)):
-        bias = build_bias(config, fitting=fitting)
+        bias = build_bias(config.bias)
     with _blame(config, ("compare",)):
         compare = build_compare(config.compare)
     with _blame(config, ("filter",)):
         kernel = build_filter(config, fitting=fitting)
-    settings = shadow.MapSettings(**_values(config.shadow_map))
+    settings = shadow.MapSettings(**values_of(config.shadow_map))
     with _blame(config, ("technique",)):
         return shadow.ShadowMapping(kernel, bias, compare, settings, build_layout(config, fitting=fitting))
 
@@ -196,8 +195,8 @@ def build_fittable(config: Config, *, fitting: bool = True) -> Any:
         return build_shadow_mapping(config, fitting=fitting)
     with _blame(config, ("technique",)):
         if not isinstance(section, Engine):
-            return module_of(section)(**_values(section))
-        return module_of(section)(resolution=config.shadow_map.resolution, **_values(section))
+            return module_of(section)(**values_of(section))
+        return module_of(section)(resolution=config.shadow_map.resolution, **values_of(section))
 
 
 def build_shading(config: Config) -> shading.AbstractShading:
@@ -208,7 +207,7 @@ def build_shading(config: Config) -> shading.AbstractShading:
     section, lights = config.shading, len(config.scene.each_light)
     intensity = INTENSITY / lights if section.intensity is None else section.intensity
     intensities = section.intensities
-    if intensities is None and fits_each_intensity(config):
+    if intensities is None and section.fits_each_intensity(config):
         intensities = (intensity,) * lights
     with _blame(config, ("shading",)):
         phong = shading.Phong(
@@ -218,7 +217,7 @@ def build_shading(config: Config) -> shading.AbstractShading:
             specular=section.specular,
             shininess=section.shininess,
             background=section.background,
-            attenuation=shading.Attenuation(**_values(section.attenuation)),
+            attenuation=shading.Attenuation(**values_of(section.attenuation)),
             model=section.model,
         )
         return shading.ModulatedShadow(phong, section.factor) if isinstance(section, ModulatedShadow) else phong
@@ -239,9 +238,9 @@ def build_fit(config: Config, scene: geometry.Scene | None = None) -> FitPlan:
         raise ConfigError(mistakes)
     solver, anneal = config.fit.solver, config.fit.anneal
     with _blame(config, ("fit", "solver")):
-        built_solver = fit.Solver(solver.type, **_values(solver))
+        built_solver = fit.Solver(solver.type, **values_of(solver))
     with _blame(config, ("fit", "anneal")):
-        built_anneal = fit.Anneal(**_values(anneal))
+        built_anneal = fit.Anneal(**values_of(anneal))
     arrangement = None
     if config.moves:
         scene = build_scene(config) if scene is None else scene
@@ -330,20 +329,15 @@ def _loss(config: Config, solver: fit.Solver) -> Any:
     """The loss of a fit, which may be a user's."""
     section = config.fit.loss
     if section.plugin is None:
-        return fit.Loss(**_values(section))
+        return fit.Loss(**values_of(section))
     with _blame(config, ("fit", "loss")):
         kind = type(section).plugin
-        loss = module_of(section)(**_values(section)) if inspect.isclass(kind) else kind
+        loss = module_of(section)(**values_of(section)) if inspect.isclass(kind) else kind
         try:
             fit.check_loss(loss, solver, config.scene.camera.resolution)
         except TypeError as error:
             raise ValueError(str(error)) from error
     return loss
-
-
-def _values(section: Any) -> dict[str, Any]:
-    """The values of a section's keys, without its type."""
-    return {key: getattr(section, key) for key in type(section).model_fields if key != "type"}
 
 
 def _start(

@@ -10,14 +10,15 @@ from ..._arithmetic import as_float
 from ..._types import HostArray, Vec3
 from ...settings import scene
 from ..framing._meshes import Triple
-from ..sections._lights import (
+from ..sections._scene import (
     DirectionalLightConfig,
+    OrthographicCameraConfig,
+    PinholeCameraConfig,
     PointLightConfig,
     RectangleLightConfig,
     ShadowCamera,
     SpotLightConfig,
 )
-from ..sections._scene import OrthographicCameraConfig, PinholeCameraConfig
 
 # Margin around the scene along the view axis, as a fraction of its depth.
 _MARGIN = 0.01

@@ -14,10 +14,10 @@ from ..._types import HostArray, Resolution
 from ...settings import scene
 from .._errors import KeyPath
 from ..framing._meshes import build_mesh
-from ..sections._lights import DirectionalLightConfig
+from ..sections._config import Config
+from ..sections._fit import ShapeConfig
+from ..sections._scene import DirectionalLightConfig
 from ..sections._section import changed
-from ..sections._shape import ShapeConfig
-from ..whole._schema import Config
 from ._scene import Stage, light_on
 
 Blame = Callable[[KeyPath], AbstractContextManager[None]]

@@ -8,8 +8,9 @@ from ...settings.biases import NoPlane
 from ...settings.maps import Compare, HardCompare, SoftCompare
 from ...settings.patterns import Pattern
 from ...settings.techniques import Cascades, FittedLayout
+from ..sections._config import Config
 from ..sections._section import settings_of
-from ..whole._schema import Config
+from ..sections._technique import BiasConfig
 
 # The module that each class of settings describes.
 _MODULES: dict[type[Settings], Any] = {
@@ -28,7 +29,7 @@ def build_filter(config: Config, *, fitting: bool) -> shadow.AbstractFilter:
     - `fitting`: whether its numbers may later be set to any value within the bounds of their fit.
     """
     section = config.filter
-    arguments = _arguments(config, "filter", fitting=fitting)
+    arguments = values_of(section)
     if isinstance(section, Pattern):
         for key in Pattern.each():
             del arguments[key]
@@ -43,18 +44,17 @@ def build_filter(config: Config, *, fitting: bool) -> shadow.AbstractFilter:
     return module_of(section)(**arguments)
 
 
-def build_bias(config: Config, *, fitting: bool) -> shadow.Bias:
-    """The bias of `config`; `fitting` as for `build_filter`."""
-    given = _arguments(config, "bias", fitting=fitting)
+def build_bias(section: BiasConfig) -> shadow.Bias:
+    """The bias of a configuration."""
     return shadow.Bias(
-        constant=shadow.ConstantBias(given["constant"], given["unit"]),
+        constant=shadow.ConstantBias(section.constant, section.unit),
         slope=shadow.SlopeBias(
-            given["slope"], given["slope_profile"], given["slope_least"], given["slope_most"], given["unit"]
+            section.slope, section.slope_profile, section.slope_least, section.slope_most, section.unit
         ),
-        normal_offset=shadow.NormalOffset(given["normal_offset"], given["normal_offset_profile"]),
-        plane=_plane(config, fitting=fitting),
-        factors=given["factors"],
-        terms=_terms(config, fitting=fitting),
+        normal_offset=shadow.NormalOffset(section.normal_offset, section.normal_offset_profile),
+        plane=None if isinstance(section.plane, NoPlane) else module_of(section.plane)(**values_of(section.plane)),
+        factors=section.factors,
+        terms=_terms(section),
     )
 
 
@@ -73,11 +73,11 @@ def build_layout(config: Config, *, fitting: bool) -> shadow.AbstractLayout:
     if not isinstance(config.technique, FittedLayout):
         return shadow.SingleMap()
     bounds = config.fit.parameters if fitting else {}
-    laid_out: Any = config.laid_out(bounds)
-    arguments = _arguments(config, "technique", fitting=fitting) | {"margin": laid_out.margin}
-    if isinstance(laid_out, Cascades):
-        arguments |= {"max_blend": laid_out.max_blend, "max_share": config.max_share(bounds)}
-    return module_of(config.technique)(**arguments)
+    section = config.laid_out(bounds)
+    arguments = values_of(section)
+    if isinstance(section, Cascades):
+        arguments["max_share"] = section.max_share(bounds)
+    return module_of(section)(**arguments)
 
 
 def module_of(section: Any) -> Any:
@@ -101,27 +101,14 @@ def _guarded(settings: type[Settings]) -> Any:
     return make
 
 
-def _terms(config: Config, *, fitting: bool) -> shadow.AbstractBias | None:
-    given = _arguments(config, "bias.terms", fitting=fitting)
-    weights = {key: weight for key, weight in given.items() if weight is not None}
-    linear, network = shadow.LinearBias(weights) if weights else None, config.bias.network
+def _terms(section: BiasConfig) -> shadow.AbstractBias | None:
+    weights = {key: weight for key, weight in values_of(section.terms).items() if weight is not None}
+    linear, network = shadow.LinearBias(weights) if weights else None, section.network
     if linear is None or network is None:
         return linear
     return shadow.PerceptronBias.of(linear, [(layer.weight, layer.bias) for layer in network.hidden], network.last)
 
 
-def _plane(config: Config, *, fitting: bool) -> shadow.AbstractBias | None:
-    if isinstance(config.bias.plane, NoPlane):
-        return None
-    return module_of(config.bias.plane)(**_arguments(config, "bias.plane", fitting=fitting))
-
-
-def _arguments(config: Config, holder: str, *, fitting: bool) -> dict[str, Any]:
-    """The values of the keys of the section `holder`. With `fitting`, keys that are fitted have numbers."""
-    section: Any = config
-    for key in holder.split("."):
-        section = getattr(section, key)
-    values = {key: getattr(section, key) for key in type(section).model_fields if key != "type"}
-    # A key that is not set has the fit's initial value, if it is fitted.
-    starts = {key for key, value in values.items() if value is None and f"{holder}.{key}" in config.fit.parameters}
-    return values | {key: config.initial(f"{holder}.{key}") for key in starts if fitting}
+def values_of(section: Any) -> dict[str, Any]:
+    """The values of a section's keys, without its type."""
+    return {key: getattr(section, key) for key in type(section).model_fields if key != "type"}

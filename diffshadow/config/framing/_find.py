@@ -13,9 +13,8 @@ from jaxtyping import Float
 from ... import geometry
 from ..._types import HostArray
 from ...settings import scene as settings
-from ..sections._lights import DirectionalLightConfig
-from ..sections._scene import MeshConfig, SceneConfig
-from ..whole._schema import Config
+from ..sections._config import Config
+from ..sections._scene import DirectionalLightConfig, MeshConfig, SceneConfig
 from ._auto import Asked, is_placed_sun
 from ._meshes import place_mesh
 

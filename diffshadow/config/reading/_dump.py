@@ -9,10 +9,9 @@ from typing import Any, NamedTuple
 import yaml
 
 from .._errors import KeyPath, dotted, printable, show
-from ..sections._fitted import fit_paths, key_of
-from ..sections._poses import is_pose, pose_of
+from ..sections._config import Config
+from ..sections._fitted import fit_paths, is_pose, key_of, pose_of
 from ..sections._section import Section
-from ..whole._schema import Config
 from ._keys import ROOT, Slot, keys_of, slot_of
 from ._yaml import plain_scalar
 
@@ -61,7 +60,7 @@ def fit_units(config: Config) -> dict[str, str]:
         section = reduce(getattr, holder.split("."), config)
         units[name] = section.units().get(key, slot_of(type(section).model_fields[key]).unit)
     moved = {name: pose_of(config, name) for name in config.fit.parameters if is_pose(name)}
-    return units | {name: pose.unit for name, pose in moved.items() if pose is not None}
+    return units | {name: pose.setting.unit for name, pose in moved.items() if pose is not None}
 
 
 def _plain(value: Any) -> Any:

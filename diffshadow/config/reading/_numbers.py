@@ -5,10 +5,10 @@ from functools import reduce
 from typing import Any, NamedTuple, get_origin
 
 from ...settings import Limits
+from ..sections._config import Config
 from ..sections._fitted import fit_paths, key_of
-from ..sections._lights import LIGHTS
-from ..sections._section import Section, changed
-from ..whole._schema import Config
+from ..sections._scene import LIGHTS
+from ..sections._section import Section
 from ._dump import fit_units
 from ._keys import Slot, keys_of, slot_of
 
@@ -79,16 +79,7 @@ def choices_of(config: Config) -> dict[str, Choice]:
 
 def with_number(config: Config, name: str, value: float) -> Config:
     """`config` with another `value` of one of `numbers_of`, which is not checked."""
-    return _put(config, name.split("."), value)
-
-
-def _put(holder: Any, keys: list[str], value: float) -> Any:
-    if not keys:
-        return value
-    if isinstance(holder, Section):
-        return changed(holder, **{keys[0]: _put(getattr(holder, keys[0]), keys[1:], value)})
-    at = int(keys[0])
-    return (*holder[:at], _put(holder[at], keys[1:], value), *holder[at + 1 :])
+    return config.with_value(name.split("."), value)
 
 
 def _of_technique(config: Config) -> Iterator[tuple[str, Number | None]]:
