@@ -13,7 +13,6 @@ from .reading._advise import Advice, load_advice
 from .reading._advise import AdvisedTechnique as AdvisedTechnique
 from .reading._dump import Row as Row
 from .reading._dump import describe, dump, dump_resolved
-from .reading._dump import fit_units as fit_units
 from .reading._files import input_files as input_files
 from .reading._files import user_modules as user_modules
 from .reading._keys import is_key as is_key
@@ -37,10 +36,12 @@ from .sections._axes import LABEL as LABEL
 from .sections._config import Config, FitView
 from .sections._fit import preferences as preferences
 from .sections._fitted import fit_paths as fit_paths
+from .sections._fitted import fit_units as fit_units
 from .sections._fitted import is_limit as is_limit
 from .sections._images import REFERENCES as REFERENCES
 from .sections._scene import DirectionalLightConfig as DirectionalLightConfig
 from .sections._section import changed as changed
+from .sections._section import frozen as frozen
 from .sections._sweep import FLICKER as FLICKER
 from .sections._sweep import LIMIT_ERROR as LIMIT_ERROR
 from .sections._sweep import PlotConfig as PlotConfig

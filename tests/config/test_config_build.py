@@ -244,7 +244,7 @@ def test_mesh_beyond_single_precision_or_memory_is_reported_with_its_key(mesh, s
 
 
 def test_scene_of_too_many_triangles_is_reported(monkeypatch):
-    monkeypatch.setattr("diffshadow.config.building._modules._MAX_TRIANGLES", 20)
+    monkeypatch.setattr("diffshadow.config.building._scene._MAX_TRIANGLES", 20)
     with pytest.raises(ConfigError, match=r"scene\.meshes\.1: brings the scene to 24 triangles; expected at most 20"):
         build(text="scene: {meshes: [{path: builtin:box}, {path: builtin:box}, {path: builtin:box}]}")
 

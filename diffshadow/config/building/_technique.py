@@ -1,16 +1,19 @@
-"""Builds filters, biases and compares from their sections."""
+"""Builds the technique and the shading of a configuration."""
 
 from typing import Any
 
-from ... import shadow
+from ... import shading, shadow
 from ...settings import Settings
 from ...settings.biases import NoPlane
+from ...settings.engines import Engine
 from ...settings.maps import Compare, HardCompare, SoftCompare
 from ...settings.patterns import Pattern
-from ...settings.techniques import Cascades, FittedLayout
+from ...settings.shading import INTENSITY, ModulatedShadow
+from ...settings.techniques import Cascades, FittedLayout, Mapped
 from ..sections._config import Config
 from ..sections._section import settings_of
 from ..sections._technique import BiasConfig
+from ._scene import blame
 
 # The module that each class of settings describes.
 _MODULES: dict[type[Settings], Any] = {
@@ -19,6 +22,72 @@ _MODULES: dict[type[Settings], Any] = {
 
 # Patterns whose function has another name.
 _PATTERNS = {"poisson": "poisson_disk"}
+
+
+def build_technique(config: Config, *, fitting: bool = True) -> shadow.AbstractTechnique:
+    """The technique of `config`.
+
+    **Arguments:**
+
+    - `fitting`: whether its numbers may later be set to any value within the bounds of their fit. Otherwise the section
+        `fit` is ignored: a box filter takes only the taps that the radius of `config` needs.
+
+    **Raises** `ConfigError` if its parts cannot be made.
+    """
+    if isinstance(config.technique, Mapped | Engine):
+        return build_fittable(config, fitting=fitting)
+    with blame(config, ("technique",)):
+        return module_of(config.technique)(**values_of(config.technique))
+
+
+def build_shadow_mapping(config: Config, *, fitting: bool = True) -> shadow.ShadowMapping:
+    """The shadow mapping of `config`, even if its technique is another one; otherwise as `build_technique`."""
+    config = config.with_starts() if fitting else config
+    with blame(config, ("bias",)):
+        bias = build_bias(config.bias)
+    with blame(config, ("compare",)):
+        compare = build_compare(config.compare)
+    with blame(config, ("filter",)):
+        kernel = build_filter(config, fitting=fitting)
+    settings = shadow.MapSettings(**values_of(config.shadow_map))
+    with blame(config, ("technique",)):
+        return shadow.ShadowMapping(kernel, bias, compare, settings, build_layout(config, fitting=fitting))
+
+
+def build_fittable(config: Config, *, fitting: bool = True) -> Any:
+    """The technique of `config` that a fit changes: an engine's, a user's, or shadow mapping; otherwise as
+    `build_technique`."""
+    section = config.technique
+    if not section.is_whole:
+        return build_shadow_mapping(config, fitting=fitting)
+    with blame(config, ("technique",)):
+        if not isinstance(section, Engine):
+            return module_of(section)(**values_of(section))
+        return module_of(section)(resolution=config.shadow_map.resolution, **values_of(section))
+
+
+def build_shading(config: Config) -> shading.AbstractShading:
+    """The shading of `config`.
+
+    **Raises** `ConfigError` if it cannot be made.
+    """
+    section, lights = config.shading, len(config.scene.each_light)
+    intensity = INTENSITY / lights if section.intensity is None else section.intensity
+    intensities = section.intensities
+    if intensities is None and section.fits_each_intensity(config):
+        intensities = (intensity,) * lights
+    with blame(config, ("shading",)):
+        phong = shading.Phong(
+            ambient=section.ambient,
+            intensity=intensity,
+            intensities=intensities,
+            specular=section.specular,
+            shininess=section.shininess,
+            background=section.background,
+            attenuation=shading.Attenuation(**values_of(section.attenuation)),
+            model=section.model,
+        )
+        return shading.ModulatedShadow(phong, section.factor) if isinstance(section, ModulatedShadow) else phong
 
 
 def build_filter(config: Config, *, fitting: bool) -> shadow.AbstractFilter:

@@ -8,9 +8,8 @@ from typing import Any
 from pydantic import ValidationError
 
 from .._errors import ConfigError, Mistake, Origin
-from ..framing._auto import asked_in, spell_out, without_auto
+from ..framing._auto import Asked, asked_in, spell_out
 from ..sections._config import Config
-from ..sections._section import value_at
 from ._draft import Draft, load_draft, parse_draft
 from ._files import resolve_files
 from ._mistakes import mistakes_at, mistakes_of
@@ -89,14 +88,16 @@ def checked(draft: Draft, *, fitting: bool = False, files: bool = True) -> Confi
     if unusable := add_plugins(data, origin, draft.folder, needed=files):
         # A section cannot be checked without its class, and neither can the numbers that are fitted in it.
         raise ConfigError([*mistakes, *unusable])
-    config = _valid(without_auto(data), origin, mistakes)
+    asked, complete = asked_in(data)
+    config = _valid(complete, origin, mistakes)
     if fitting:
-        named = value_at(data, "fit", "parameters") is not None
+        named = "parameters" in data.get("fit", {})
         mistakes += mistakes_at(config.fit_faults(named=named), origin)
     if mistakes:
         raise ConfigError(mistakes)
     if files:
-        config, data = _found(config, data)
+        if any(asked[:3]):
+            config, data = _with_found(config, data, complete, asked)
         config._views, config._validation = views_of(config, draft._replace(data=data), checked)
     return config
 
@@ -117,21 +118,20 @@ def _valid(data: dict[str, Any], origin: Origin, mistakes: list[Mistake]) -> Con
     return config
 
 
-def _found(config: Config, data: dict[str, Any]) -> tuple[Config, dict[str, Any]]:
-    """`config` and `data` with the parts of the scene that `data` leaves to the program."""
-    asked = asked_in(data)
-    if not any(asked):
-        return config, data
+def _with_found(
+    config: Config, data: dict[str, Any], complete: dict[str, Any], asked: Asked
+) -> tuple[Config, dict[str, Any]]:
+    """`config` and `data` with the parts of the scene that are `asked` for; `complete` has others in their place."""
     # It loads JAX, which other configurations do without.
     from ..framing._find import find
 
     found = find(config, data["scene"], asked)
     if found is None:
-        return config, without_auto(data)
+        return config, complete
     data = {**data, "scene": found.scene}
-    complete = Config.model_validate(data)
-    complete._origin = replace(config.origin, notes=(*config.origin.notes, *found.notes))
-    return complete, data
+    made = Config.model_validate(data)
+    made._origin = replace(config.origin, notes=(*config.origin.notes, *found.notes))
+    return made, data
 
 
 def _single(config: Config) -> Config:

@@ -1,15 +1,12 @@
 """The numbers and choices of a configuration that an interface can offer, from the schema."""
 
-from collections.abc import Iterator
-from functools import reduce
 from typing import Any, NamedTuple, get_origin
 
 from ...settings import Limits
 from ..sections._config import Config
-from ..sections._fitted import fit_paths, key_of
+from ..sections._fitted import of_technique
 from ..sections._scene import LIGHTS
 from ..sections._section import Section
-from ._dump import fit_units
 from ._keys import Slot, keys_of, slot_of
 
 # Of a mesh, the numbers that keep its faces.
@@ -54,7 +51,9 @@ def numbers_of(config: Config) -> dict[str, Number]:
     found = {}
     for key, light in config.scene.each_light.items():
         found |= _within(light, ".".join(map(str, ("scene", *key))))
-    found |= {name: number for name, number in _of_technique(config) if number is not None}
+    for name, each in of_technique(config).items():
+        if each.value is not None:
+            found[name] = Number(each.value, each.unit, each.setting.limits, each.setting.meaning, is_fittable=True)
     for i, mesh in enumerate(config.scene.meshes):
         placed = _within(mesh, f"scene.meshes.{i}")
         found |= {name: number for name, number in placed.items() if name.split(".")[3] in _PLACEMENT}
@@ -80,15 +79,6 @@ def choices_of(config: Config) -> dict[str, Choice]:
 def with_number(config: Config, name: str, value: float) -> Config:
     """`config` with another `value` of one of `numbers_of`, which is not checked."""
     return config.with_value(name.split("."), value)
-
-
-def _of_technique(config: Config) -> Iterator[tuple[str, Number | None]]:
-    units = fit_units(config)
-    for name in fit_paths(config):
-        holder, key, index = key_of(name)
-        section = reduce(getattr, holder.split("."), config)
-        number = _number(section, key, index)
-        yield name, None if number is None else number._replace(unit=units[name], is_fittable=True)
 
 
 def _within(section: Any, path: str) -> dict[str, Number]:

@@ -11,7 +11,7 @@ from ...settings.quantities import MAX_TEXELS
 from .._errors import KeyPath, Origin, show
 from ._advise import AdviseConfig
 from ._fit import UPPER, FitConfig, FitParameterConfig
-from ._fitted import could_be_fitted, fit_paths, is_pose, misnamed, start_of
+from ._fitted import could_be_fitted, is_pose, misnamed, of_technique
 from ._images import REFERENCES, SHADINGS, ReferenceConfig, ShadingConfig
 from ._scene import SceneConfig
 from ._section import Conflict, Section, fault, is_number, unchecked, value_at
@@ -142,9 +142,10 @@ class Config(Section):
         return self._validation
 
     def initial(self, name: str) -> float:
-        """The start of the fit of the parameter `name`."""
+        """The start of the fit of the parameter `name` of the technique."""
         initial = self.fit.parameters[name].initial
-        return float(start_of(self, name) if initial is None else initial)
+        start: Any = of_technique(self)[name].value if initial is None else initial
+        return float(start)
 
     @property
     def moves(self) -> bool:
@@ -205,9 +206,10 @@ class Config(Section):
     def with_starts(self) -> Self:
         """The configuration with the starts of fitted numbers that are not set."""
         config = self
-        for name in fit_paths(self):
-            if name in self.fit.parameters and start_of(self, name) is None:
-                config = config.with_value(name.split("."), self.initial(name))
+        for name, number in of_technique(self).items():
+            bounds = self.fit.parameters.get(name)
+            if number.value is None and bounds is not None:
+                config = config.with_value(name.split("."), bounds.initial)
         return config
 
     @property

@@ -12,7 +12,7 @@ from ..._words import counted
 from ...settings import Form, InputFile, fit
 from .._errors import KeyPath, listing, plain
 from ._axes import ValidationConfig, ViewsConfig
-from ._fitted import is_pose, is_searched, limits_of, name_faults, start_of
+from ._fitted import fittable_of, is_pose, name_faults, of_technique
 from ._scene import LightConfig, MeshConfig
 from ._section import Conflict, Section, Variants, fault
 
@@ -39,9 +39,10 @@ class FitParameterConfig(Section):
     def faults_of_fit(self, config: "Config", at: KeyPath) -> Iterator[Conflict]:
         name = str(at[-1])
         yield from ((at, what) for what in name_faults(config, name))
-        limits = limits_of(config, name)
-        if limits is None:
+        number = fittable_of(config, name)
+        if number is None:
             return
+        limits, start = number.setting.limits, number.value
         if limits.undercut_by(self.lower):
             yield (
                 (*at, "lower"),
@@ -52,7 +53,6 @@ class FitParameterConfig(Section):
             yield (*at, "upper"), fault(f"is {plain(self.upper)}", expected, "lower it")
         if self.initial is not None or is_pose(name):
             return
-        start = start_of(config, name)
         if start is None:
             message = f"has no start, since {name} is not set"
             yield at, fault(message, "an initial value within the bounds", f"add initial, or set {name}")
@@ -228,7 +228,8 @@ class FitConfig(Section, fit.Fit):
             message = f"has {count} parameters, whose derivatives at {pixels:,} pixels are {pixels * count:,} numbers"
             mend = "fit fewer, or lower scene.camera.resolution"
             yield ("fit", "parameters"), fault(message, f"at most {_MAX_DERIVATIVES:,}, which take 1 GB", mend)
-        searched = [name for name in self.parameters if is_searched(config, name)]
+        known = of_technique(config)
+        searched = [name for name in self.parameters if name in known and known[name].is_searched]
         sizes = self.views is not None and "shadow_map.resolution" in self.views.axes
         if sizes and (searched or config.technique.is_selective):
             given = f"change shadow_map.resolution, with technique.type {config.technique.type} and its parameters"

@@ -3,12 +3,13 @@ that sections of the scene, and in fits to pictures of the shading and the refer
 
 import functools
 from collections.abc import Iterable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple, get_args, get_origin
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple, get_origin
 
 from pydantic_core import PydanticCustomError
 
 from ..._words import counted
-from ...settings import Fitted, Limits, Setting, bare
+from ...settings import Fitted, Limits, Setting
 from ...settings.quantities import Coordinate
 from .._errors import did_you_mean, dotted, listing
 from ._images import EACH_INTENSITY, REFERENCES, SHADINGS, PictureReferenceConfig
@@ -44,25 +45,76 @@ def key_of(name: str) -> tuple[str, str, int | None]:
     return *key_of(holder)[:2], int(key)
 
 
+class Fittable(NamedTuple):
+    """A number that can be fitted.
+
+    - `path`: its dotted path in the technique that the configuration builds; for one of the scene or its shading, in a
+        `fit.Arrangement`.
+    - `setting`: the limits of its bounds, equal to those of the keys that set such numbers, and what it means.
+    - `unit`: empty for colours and factors.
+    - `value`: of a number of the technique; none if it is not set.
+    - `is_searched`: whether it is found by a search, rather than by gradient.
+    - `vertex`: the indices of mesh and vertex, if the number is a coordinate of a vertex.
+    """
+
+    path: str
+    setting: Setting
+    unit: str
+    value: float | None = None
+    is_searched: bool = False
+    vertex: tuple[int, int] | None = None
+
+    @property
+    def axis(self) -> int | None:
+        """The axis that it is a coordinate along; none for an angle, a size or a colour."""
+        last = self.path.rpartition(".")[2]
+        return AXES.index(last) if self.unit == _VERTEX.unit and last in AXES else None
+
+
+def of_technique(config: "Config") -> dict[str, Fittable]:
+    """The numbers of the technique of `config` that can be fitted, by the keys that set them."""
+    found = {}
+    for holder, section in _holders(config).items():
+        prefix = "" if config.technique.is_whole else f"{_FIELDS.get(holder, holder)}."
+        for key, mark in _fitted_keys(type(section)).items():
+            kind, marks = marked(type(section).model_fields[key])
+            setting, value = Setting(kind, marks), getattr(section, key)
+            name, path = f"{holder}.{key}", f"{prefix}{setting.paths(key)[0]}"
+            unit = section.units().get(key, setting.unit)
+            if get_origin(kind) is tuple:
+                for i, each in enumerate(value if isinstance(value, list | tuple) else ()):
+                    entry = replace(setting.entry(i), marks=(*setting.entry(i).marks, setting.meaning))
+                    found[f"{name}.{i}"] = Fittable(f"{path}.{i}", entry, unit, each, mark.searched)
+            elif value is not None or not mark.needs_value:
+                found[name] = Fittable(path, setting, unit, value, mark.searched)
+    return found
+
+
+def fittable_of(config: "Config", name: str) -> Fittable | None:
+    """The number that is called `name`; none if it cannot be fitted."""
+    if not is_pose(name):
+        return of_technique(config).get(name)
+    match name.split("."):
+        case ["scene", "meshes", mesh, "vertices", vertex, axis] if is_index(mesh) and is_index(vertex):
+            if axis in AXES and int(mesh) < len(config.scene.meshes):
+                path = f"meshes.{int(mesh)}.vertices.{int(vertex)}.{axis}"
+                return Fittable(path, _VERTEX, _VERTEX.unit, vertex=(int(mesh), int(vertex)))
+    return poses(config).get(name)
+
+
 def fit_paths(config: "Config") -> dict[str, str]:
     """The numbers of the technique of `config` that can be fitted.
 
     **Returns:** the dotted path of each number in the technique that the configuration builds, by the key that sets it;
     for example, `"bias.slope"` maps to `"bias.slope.value"`.
     """
-    found = {}
-    for holder, section in _holders(config).items():
-        field = "" if config.technique.is_whole else f"{_FIELDS.get(holder, holder)}."
-        for key, mark in _fitted_keys(type(section)).items():
-            kind, marks = marked(type(section).model_fields[key])
-            (path,) = Setting.of(None, marks=marks).paths(key)
-            value, entries = getattr(section, key), [""]
-            if get_origin(kind) is tuple:
-                entries = [f".{i}" for i in range(len(value))] if isinstance(value, list | tuple) else []
-            elif mark.needs_value and value is None:
-                continue
-            found |= {f"{holder}.{key}{entry}": f"{field}{path}{entry}" for entry in entries}
-    return found
+    return {name: number.path for name, number in of_technique(config).items()}
+
+
+def fit_units(config: "Config") -> dict[str, str]:
+    """The unit of every number of the technique that can be fitted, and of every number of the scene that is."""
+    found = {name: fittable_of(config, name) for name in config.fit.parameters if is_pose(name)}
+    return {name: number.unit for name, number in (of_technique(config) | found).items() if number is not None}
 
 
 def _holders(config: "Config") -> dict[str, Any]:
@@ -86,70 +138,27 @@ def _fitted_keys(section: type[Section]) -> dict[str, Fitted]:
     return {key: mark for key, field in fields for mark in marked(field)[1] if isinstance(mark, Fitted)}
 
 
-def is_searched(config: "Config", name: str) -> bool:
-    """Whether the number `name` of a configuration is found by a search, rather than by gradient."""
-    holder, key, _ = key_of(name)
-    section = _holders(config).get(holder)
-    return section is not None and key in (fitted := _fitted_keys(type(section))) and fitted[key].searched
-
-
-def start_of(config: "Config", name: str) -> Any:
-    """The value of the number `name` of the technique."""
-    holder, key, index = key_of(name)
-    value = getattr(_holders(config)[holder], key)
-    return value if index is None else value[index]
-
-
-def limits_of(config: "Config", name: str) -> Limits | None:
-    """The limits of the number `name`; none if it cannot be fitted."""
-    pose = pose_of(config, name)
-    if pose is not None:
-        return pose.setting.limits
-    if name not in fit_paths(config):
-        return None
-    holder, key, index = key_of(name)
-    kind, marks = marked(type(_holders(config)[holder]).model_fields[key])
-    return Limits.of(marks if index is None else bare(get_args(kind)[0])[1])
-
-
 def is_limit(config: "Config", name: str, bound: float) -> bool:
     """Whether the number `name` cannot lie beyond `bound`, or has no sense there.
 
     That is a limit of its key, or 0 of a number of the technique: no bias, no radius.
     """
-    limits = limits_of(config, name) or Limits()
+    number = fittable_of(config, name)
+    limits = Limits() if number is None else number.setting.limits
     return bound in (limits.low, limits.high) or (bound == 0 and not is_pose(name))
-
-
-class Pose(NamedTuple):
-    """A number that can be fitted, and is not the technique's.
-
-    - `path`: its dotted path in a `fit.Arrangement`; `setting`: its unit, empty for colours, and the limits of its
-        bounds, equal to the limits of the keys that set such numbers.
-    - `vertex`: the indices of mesh and vertex, if the number is a coordinate of a vertex.
-    """
-
-    path: str
-    setting: Setting
-    vertex: tuple[int, int] | None = None
-
-    @property
-    def axis(self) -> int | None:
-        """The axis that it is a coordinate along; none for an angle, a size or a colour."""
-        last = self.path.rpartition(".")[2]
-        return AXES.index(last) if self.setting.unit == _VERTEX.unit and last in AXES else None
 
 
 _VERTEX = Setting.of(Coordinate)
 
 
-def poses(config: "Config") -> dict[str, Pose]:
+def poses(config: "Config") -> dict[str, Fittable]:
     """The numbers of the scene, and to a picture of its shading, that can be fitted, by name. Vertices are left out:
     there are too many."""
     scene, shading, found = config.scene, config.shading, {}
 
     def add(name: str, path: str, settings: Mapping[str, Setting]) -> None:
-        found.update({f"{name}.{key}": Pose(f"{path}.{each.paths(key)[0]}", each) for key, each in settings.items()})
+        for key, each in settings.items():
+            found[f"{name}.{key}"] = Fittable(f"{path}.{each.paths(key)[0]}", each, each.unit)
 
     for i, (at, light) in enumerate(scene.each_light.items()):
         add(f"scene.{dotted(at)}", f"lights.{i}", light.moving)
@@ -160,19 +169,10 @@ def poses(config: "Config") -> dict[str, Pose]:
         for i, mesh in enumerate(scene.meshes):
             add(f"scene.meshes.{i}", f"meshes.{i}", mesh.coloured)
         for key, setting in shading.moving_in(config).items():
-            found[f"shading.{key}"] = Pose(f"shading.{shading.path_of(key)}", setting)
-        found["reference.exposure"] = Pose("exposure", config.reference.moving["exposure"])
+            found[f"shading.{key}"] = Fittable(f"shading.{shading.path_of(key)}", setting, setting.unit)
+        exposure = config.reference.moving["exposure"]
+        found["reference.exposure"] = Fittable("exposure", exposure, exposure.unit)
     return found
-
-
-def pose_of(config: "Config", name: str) -> Pose | None:
-    """The number of the scene or its shading named `name`, or `None` if there is none."""
-    match name.split("."):
-        case ["scene", "meshes", mesh, "vertices", vertex, axis] if is_index(mesh) and is_index(vertex):
-            if axis in AXES and int(mesh) < len(config.scene.meshes):
-                path = f"meshes.{int(mesh)}.vertices.{int(vertex)}.{axis}"
-                return Pose(path, _VERTEX, (int(mesh), int(vertex)))
-    return poses(config).get(name) if is_pose(name) else None
 
 
 @functools.cache
@@ -228,7 +228,7 @@ def name_faults(config: "Config", name: str) -> Iterator[PydanticCustomError]:
     """What is wrong with fitting the number named `name`."""
     if is_pose(name):
         yield from _pose_faults(config, name)
-    elif name not in (known := fit_paths(config)):
+    elif name not in (known := of_technique(config)):
         mend = "name one of these"
         if not any(name == f"filter.{field}" for kind in FILTERS.sections.values() for field in kind.model_fields):
             # A parameter of another filter is not a misspelling.
@@ -239,7 +239,7 @@ def name_faults(config: "Config", name: str) -> Iterator[PydanticCustomError]:
 
 
 def _pose_faults(config: "Config", name: str) -> Iterator[PydanticCustomError]:
-    pose, words, lights = pose_of(config, name), name.split("."), len(config.scene.each_light)
+    pose, words, lights = fittable_of(config, name), name.split("."), len(config.scene.each_light)
     if pose is not None:
         section = config.filter
         uses_light = isinstance(section, PercentageCloserSoftConfig) and section.light_size is None

@@ -97,11 +97,6 @@ class Section(BaseModel, Settings):
         key = str(path[0])
         return changed(self, **{key: _with_value(getattr(self, key), path[1:], value)})
 
-    @property
-    def frozen(self) -> Hashable:
-        """What tells it from other sections, as a key of caches."""
-        return type(self), *(_frozen(getattr(self, key)) for key in type(self).model_fields)
-
     @model_validator(mode="wrap")
     @classmethod
     def _check_everything(cls, data: Any, handler: Callable[[Any], Any]) -> Any:
@@ -144,9 +139,8 @@ def _drop(value: Any, location: KeyPath) -> None:
     last = None
     for step in location:
         if isinstance(value, Section):
-            last = step
-            if step in vars(value):
-                holder, value = vars(value), vars(value)[step]
+            holder, last = vars(value), step
+            value = holder.get(step, value)
         elif isinstance(value, Mapping):
             value = value.get(step)
         elif isinstance(value, tuple):
@@ -171,12 +165,13 @@ def _with_value(holder: Any, path: Sequence[str | int], value: Any) -> Any:
     return (*holder[:at], _with_value(holder[at], path[1:], value), *holder[at + 1 :])
 
 
-def _frozen(value: Any) -> Hashable:
+def frozen(value: Any) -> Hashable:
+    """What tells sections, and lists and mappings of them, from others: a key of caches."""
     if isinstance(value, Section):
-        return value.frozen
+        return type(value), *(frozen(getattr(value, key)) for key in type(value).model_fields)
     if isinstance(value, Mapping):
-        return tuple((key, _frozen(entry)) for key, entry in value.items())
-    return tuple(map(_frozen, value)) if isinstance(value, list | tuple) else value
+        return tuple((key, frozen(entry)) for key, entry in value.items())
+    return tuple(map(frozen, value)) if isinstance(value, list | tuple) else value
 
 
 # The range of normal float32 numbers, in which everything is computed. Numbers closer to 0 are flushed to 0.
