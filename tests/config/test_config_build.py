@@ -719,3 +719,12 @@ def test_warped_maps_are_built_as_they_are_set():
     )
     with pytest.raises(ConfigError, match=r"technique\.type: is perspective_warp in a fit of lights"):
         build_fit(moving)
+
+
+def test_parameters_by_default_need_not_suit_a_file_that_is_not_fitted():
+    text = "scene: {meshes: [{path: builtin:box}]}\ntechnique: {type: three.js}\n"
+    settings = parse_config(text, fitting=True)
+    with pytest.raises(ConfigError, match=r"fit.parameters.bias.constant: cannot be fitted with technique type 'three"):
+        build_fit(settings)
+    with pytest.raises(ConfigError, match=r"bias.constant: cannot be fitted with technique type 'three"):
+        parse_config(f"{text}fit: {{parameters: {{bias.constant: {{lower: 0, upper: 20}}}}}}\n", fitting=True)

@@ -5,12 +5,13 @@ import functools
 import importlib.metadata
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from pydantic_core import PydanticCustomError
 
+from ...settings import InputFile
 from ...settings.scene import PIECES
 from .._errors import KeyPath, Mistake, Origin, dotted
 from ..sections._config import Config, path_of
@@ -29,24 +30,26 @@ def files_in(value: Any, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Any, str
 
     - `value`: a configuration, or the unchecked data of one. In sections of views, dotted keys name files.
     """
-    steps: Any = enumerate(value) if isinstance(value, list | tuple) else ()
-    if isinstance(value, Section | Mapping):
-        steps = (vars(value) if isinstance(value, Section) else value).items()
-    for step, inner in steps:
+    entries: Any = enumerate(value)
+    if isinstance(value, dict | Section):
+        entries = value.items() if isinstance(value, dict) else vars(value).items()
+    for step, inner in entries:
         here = (*path, step)
         if isinstance(inner, str):
-            mark = file_marks().get(_name(here))
+            mark = _mark_at(here)
             if mark is not None and mark.names(inner):
                 yield here, value, inner
-        else:
+        elif isinstance(inner, dict | list | tuple | Section):
             yield from files_in(inner, here)
 
 
-def _name(path: KeyPath) -> str:
-    """The dotted key at `path` without indices. In a section of views, it is the key that views set."""
+# Thousands of runs have the same keys.
+@functools.lru_cache(maxsize=4096)
+def _mark_at(path: KeyPath) -> InputFile | None:
+    """The mark of the key at `path`. In a section of views, that is the key that views set."""
     steps = path[3:] if path[:2] in _VIEWS else path
     words = ".".join(step for step in steps if isinstance(step, str)).split(".")
-    return ".".join(word for word in words if not word.isdecimal())
+    return file_marks().get(".".join(word for word in words if not word.isdecimal()))
 
 
 def resolve_files(data: Any, origin: Origin, folder: Path) -> list[Mistake]:

@@ -89,8 +89,7 @@ class Section(BaseModel, Settings):
     def sections(self, at: KeyPath = ()) -> Iterator[tuple[KeyPath, "Section"]]:
         """This section, which stands at the path `at`, and all within it, each with its path."""
         yield at, self
-        for key in type(self).model_fields:
-            yield from _sections_in(getattr(self, key), (*at, key))
+        yield from _sections_in(vars(self).items(), at)
 
     def with_value(self, path: Sequence[str | int], value: Any) -> Self:
         """This section with another `value` at a path, which is not checked."""
@@ -108,15 +107,15 @@ class Section(BaseModel, Settings):
             # YAML has lists where there are tuples here, and pydantic's strict mode rejects them.
             lists = {key: data[key] for key in _lists(cls) if key in data}
             data = {**data, **{key: _as_tuple(value, *_lists(cls)[key]) for key, value in lists.items()}}
-        section = None
+        section, single = None, []
         try:
             section = handler(data)
             found = [*_beyond_single_precision(vars(section).items()), *_too_short(section)] or [*section.faults()]
         except ValidationError as error:
-            details = error.errors(include_url=False)
-            faults += _merged(cls, data, map(_again, details))
-            found = _faults_of_rest(cls, data, [each["loc"] for each in details])
+            single = error.errors(include_url=False)
+            found = _faults_of_rest(cls, data, [each["loc"] for each in single])
         faults += [InitErrorDetails(type=what, loc=key, input=None) for key, what in found]
+        faults += _merged(cls, data, map(_again, single))
         if faults:
             raise ValidationError.from_exception_data(cls.__name__, faults)
         return section
@@ -148,12 +147,15 @@ def _drop(value: Any, location: KeyPath) -> None:
     holder.pop(last, None)
 
 
-def _sections_in(value: Any, at: KeyPath) -> Iterator[tuple[KeyPath, Section]]:
-    if isinstance(value, Section):
-        yield from value.sections(at)
-    elif isinstance(value, tuple | Mapping):
-        for step, entry in value.items() if isinstance(value, Mapping) else enumerate(value):
-            yield from _sections_in(entry, (*at, step))
+def _sections_in(entries: Iterable[tuple[str | int, Any]], at: KeyPath) -> Iterator[tuple[KeyPath, Section]]:
+    for step, value in entries:
+        if value is None or isinstance(value, str | int | float):
+            continue
+        if isinstance(value, tuple | list | dict):
+            inner = value.items() if isinstance(value, dict) else enumerate(value)
+            yield from _sections_in(inner, (*at, step))
+        elif isinstance(value, Section):
+            yield from value.sections((*at, step))
 
 
 def _with_value(holder: Any, path: Sequence[str | int], value: Any) -> Any:
