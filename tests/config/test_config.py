@@ -1319,3 +1319,13 @@ def test_rules_between_keys_are_told_beside_faults_of_single_keys():
         *("scene.meshes", "scene.camera.nears", "sweep", "sweep.limit_samples", "sweep.flicker"),
         *("sweep.flicker.count", "sweep.flicker.through"),
     ]
+
+
+def test_meshes_and_lights_of_a_fit_of_a_shape_are_no_part_of_the_scene():
+    # With faults if they were: a mesh that shows no shadows, a map's frame that a fit cannot have, and a narrow guard.
+    target = "targets: [{path: builtin:sphere, receives: false}]"
+    assert parse_config(f"{TINY}fit: {{shape: {{{target}}}}}\n", fitting=True).fit.shape is not None
+    lights = "[{frame: casters}, {type: point, guard: 0.0, position: [0, 3, 0]}]"
+    settings = parse_config(f"{TINY}fit: {{shape: {{unseen: {lights}}}}}\nfilter: {{type: pcf}}\n", fitting=True)
+    assert settings.fit.shape is not None
+    assert fault(TINY.replace("'}", "', receives: false}")).startswith("file.yaml:1: scene.meshes.0.receives: is false")

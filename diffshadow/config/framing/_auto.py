@@ -40,8 +40,9 @@ def spell_out(data: dict[str, Any]) -> None:
 
 
 def asked_in(data: dict[str, Any]) -> tuple[Asked, dict[str, Any]]:
-    """The parts that `data`, whose values may have any type, leaves to the program; and the data with a sun in place of
-    a light that is to be found, to check all other values by."""
+    """The parts that `data`, whose values may have any type, leaves to the program, which are spelled out; and the data
+    with a sun in place of a light that is to be found, to check all other values by."""
+    spell_out(data)
     scene = data.get("scene")
     if not isinstance(scene, dict):
         return Asked(False, False, False, False), data

@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from .._errors import ConfigError, Mistake, Origin
-from ..framing._auto import Asked, asked_in, spell_out
+from ..framing._auto import Asked, asked_in
 from ..sections._config import Config
 from ._draft import Draft, load_draft, parse_draft
 from ._files import resolve_files
@@ -82,12 +82,11 @@ def checked(draft: Draft, *, fitting: bool = False, files: bool = True) -> Confi
     """
     data, origin = draft.data, draft.origin
     missing = resolve_files(data, origin, draft.folder)
-    # Views and runs of a sweep may set a part to auto.
-    spell_out(data)
     mistakes = [*draft.mistakes, *(missing if files else ())]
     if unusable := add_plugins(data, origin, draft.folder, needed=files):
         # A section cannot be checked without its class, and neither can the numbers that are fitted in it.
         raise ConfigError([*mistakes, *unusable])
+    # Views and runs of a sweep may set a part to auto, too.
     asked, complete = asked_in(data)
     config = _valid(complete, origin, mistakes)
     if fitting:

@@ -82,30 +82,21 @@ def with_number(config: Config, name: str, value: float) -> Config:
 
 
 def _within(section: Any, path: str) -> dict[str, Number]:
-    """The numbers in `section` and in its inner ones."""
-    found = {}
+    """The numbers in `section` and in its inner ones that are fractions."""
+    found, units = {}, section.units()
     for key in keys_of(type(section)):
-        value = getattr(section, key)
+        value, slot, name = getattr(section, key), slot_of(type(section).model_fields[key]), f"{path}.{key}"
+        unit = units.get(key, slot.unit)
         if isinstance(value, Section):
-            found |= _within(value, f"{path}.{key}")
-        entries: Any = range(len(value)) if isinstance(value, tuple) else [None]
-        for index in entries:
-            number = _number(section, key, index)
-            if number is not None:
-                found[f"{path}.{key}" if index is None else f"{path}.{key}.{index}"] = number
+            found |= _within(value, name)
+        elif slot.kind is float and value is not None:
+            found[name] = Number(value, unit, slot.limits, slot.meaning)
+        elif get_origin(slot.kind) is tuple:
+            for i, each in enumerate(value or ()):
+                entry = slot.entry(i)
+                if entry.kind is float:
+                    found[f"{name}.{i}"] = Number(each, unit, entry.limits, slot.meaning)
     return found
-
-
-def _number(section: Any, key: str, index: int | None) -> Number | None:
-    """The number at `key`, or at `index` of its list; none if that is no fraction."""
-    slot, value = slot_of(type(section).model_fields[key]), getattr(section, key)
-    unit = section.units().get(key, slot.unit)
-    if index is None:
-        return Number(value, unit, slot.limits, slot.meaning) if slot.kind is float and value is not None else None
-    if get_origin(slot.kind) is not tuple or not isinstance(value[index], float | int):
-        return None
-    entry = slot.entry(index)
-    return Number(value[index], unit, entry.limits, slot.meaning) if entry.kind is float else None
 
 
 def _choices_within(section: Any, slot: Slot, path: str) -> dict[str, Choice]:

@@ -236,7 +236,7 @@ class Config(Section):
             yield from misnamed(unchecked(cls, data), odd)
 
     def faults(self) -> Iterator[Conflict]:
-        for at, section in self.sections():
+        for at, section in self._with_rules():
             yield from section.faults_of_run(self, at)
 
     def fit_faults(self, *, named: bool = True) -> Iterator[Conflict]:
@@ -246,6 +246,10 @@ class Config(Section):
 
         - `named`: whether the file names the parameters. Those by default may not suit a file that is only rendered.
         """
-        for at, section in self.sections():
+        for at, section in self._with_rules():
             if named or at[:2] != ("fit", "parameters"):
                 yield from section.faults_of_fit(self, at)
+
+    def _with_rules(self) -> Iterator[tuple[KeyPath, Section]]:
+        """The sections that state rules with others. Meshes and lights in `fit.shape` are no part of the scene."""
+        return ((at, each) for at, each in self.sections() if at[:2] != ("fit", "shape") or len(at) == 2)
