@@ -23,7 +23,7 @@ from tables import cases, is_said
 from diffshadow import io, study
 from diffshadow.config import Config, ConfigError, SweepConfig, load_config, load_sweep
 from diffshadow.config.reading._axes import levels_of
-from diffshadow.config.reading._load import parse_draft
+from diffshadow.config.reading._draft import parse_draft
 from diffshadow.metrics import flicker
 from diffshadow.settings import rules
 from diffshadow.study.remarks._layout import frames_remarks
