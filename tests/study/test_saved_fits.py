@@ -100,7 +100,7 @@ def test_a_saved_fit_of_several_images_shows_each_and_replaces_an_earlier_one(se
     study.save_fit(one, tmp_path / "mine")
     (tmp_path / "mine" / "notes.txt").write_text("mine")
     # A problem without its scene has no shaded picture.
-    both = one._replace(problems=(seen, dataclasses.replace(seen, scene=None)))
+    both = dataclasses.replace(one, problems=(seen, dataclasses.replace(seen, scene=None)))
     folder = study.save_fit(both, str(tmp_path / "mine"))
     stored, page = json.loads((folder / "result.json").read_text()), study.report(folder).read_text()
     assert [light["light"] for light in stored["metrics"]["lights"]] == ["image 0", "image 1"]
@@ -150,9 +150,9 @@ def test_what_is_no_fit_to_be_saved_is_refused(seen, tmp_path):
     result = result_of(seen, "bias.constant", 40.0, 0.5)
     smaller = eqx.tree_at(lambda problem: problem.reference, seen, seen.reference[:32])
     with pytest.raises(ValueError, match=r"images of 64 x 64 and 32 x 64 pixels.*expected images of one size"):
-        study.save_fit(result._replace(problems=(seen, smaller)), tmp_path / "mine")
+        study.save_fit(dataclasses.replace(result, problems=(seen, smaller)), tmp_path / "mine")
     with pytest.raises(ValueError, match="the names are a, a; expected 2 different ones"):
-        study.save_fit(result._replace(problems=(seen, seen)), tmp_path / "mine", names=["a", "a"])
+        study.save_fit(dataclasses.replace(result, problems=(seen, seen)), tmp_path / "mine", names=["a", "a"])
     with pytest.raises(TypeError, match="what to save is of type dict; expected a FitResult"):
         study.save_fit({}, tmp_path / "mine")
     with pytest.raises(TypeError, match="the folder is of type int; expected a path"):

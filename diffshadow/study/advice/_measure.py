@@ -10,7 +10,7 @@ from rich.console import Console
 
 from ... import fit, raster
 from ..._arithmetic import as_float
-from ...config import Config, build_fit, build_technique, fit_paths
+from ...config import Config, build_technique, fit_paths
 from ..remarks._verdict import unexplained_verdict
 from ..runs import _record as record
 from ..runs._explained import fitted_images, unexplained
@@ -83,7 +83,7 @@ def unexplained_by(config: Config) -> list[str]:
     found = unexplained(fitted_images(views, drawn, [visibility_of(technique, each) for each in drawn], drawn))
     if found is None:
         return []
-    said = unexplained_verdict(config, build_fit(config), found)
+    said = unexplained_verdict(config, found, starts=config.fit.multistart, moves=config.moves)
     return [said.sentence, *said.remedies]
 
 

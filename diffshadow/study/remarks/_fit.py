@@ -1,11 +1,11 @@
 """Remarks on a fit: what a reader should know besides its numbers."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 from ..._checks import text_within
 from ..._words import counted, plural
-from ...config import Config, FitPlan, is_limit
-from ...fit import FitResult, Outcome, Parameter
+from ...config import Config, is_limit
+from ...fit import FitResult, Outcome
 from ..pages._table import UNEXPLAINED
 from ._course import (
     CUT_SHORT,
@@ -24,7 +24,7 @@ from ._verdict import BEST_ALREADY, Kind
 _FLAT = 0.5
 
 
-def remarks(config: Config | None, plan: FitPlan, result: FitResult, kind: Kind = "fitted") -> list[str]:
+def remarks(config: Config | None, result: FitResult, kind: Kind = "fitted") -> list[str]:
     """A sentence for each reason not to rely on the fit.
 
     **Arguments:**
@@ -41,20 +41,20 @@ def remarks(config: Config | None, plan: FitPlan, result: FitResult, kind: Kind 
         sentences = list(pose_remarks(config, result, is_known=is_known))
     if kind == UNEXPLAINED:
         return sentences
-    sentences += [*_undecided(plan.parameters, result), *_few_points(plan, result)]
+    sentences += [*_undecided(result), *_few_points(config, result)]
     if kind == BEST_ALREADY:
         return sentences
     # A preferred value lies on purpose where it does.
     preferred = bool(result.best) and result.fitted != result.best
-    on_bounds = [] if preferred else _on_bounds(config, plan.parameters, result)
+    on_bounds = [] if preferred else _on_bounds(config, result)
     more = "raise max_steps of the fit.Solver" if config is None else "raise fit.solver.max_steps"
     within = "fit.Sureness(within=...)" if config is None else "fit.intervals"
     return [*sentences, *on_bounds, *_by_profiles(result, within, more), *_unconverged(result, more)]
 
 
-def _undecided(parameters: Sequence[Parameter], result: FitResult) -> Iterator[str]:
+def _undecided(result: FitResult) -> Iterator[str]:
     """A sentence for each parameter that hardly matters."""
-    for parameter, profile in zip(parameters, result.profiles, strict=False):
+    for parameter, profile in zip(result.parameters, result.profiles, strict=False):
         span = parameter.upper - parameter.lower
         flat = [each for each in profile.intervals if each.upper.value - each.lower.value > _FLAT * span]
         if flat:
@@ -65,13 +65,14 @@ def _undecided(parameters: Sequence[Parameter], result: FitResult) -> Iterator[s
             )
 
 
-def _few_points(plan: FitPlan, result: FitResult) -> Iterator[str]:
+def _few_points(config: Config | None, result: FitResult) -> Iterator[str]:
     """A sentence for a front of fewer points than asked for."""
-    count = len(result.front)
-    if count < plan.front:
+    count, asked = len(result.front), result.sureness.front
+    if count < asked:
         yield (
-            f"fit.front is {plan.front}, and the front has {counted(count, 'point')}: no other settings "
-            "were found whose errors differ from theirs and whose weighted sum is the least for some weights"
+            f"{'Sureness' if config is None else 'fit'}.front is {asked}, and the front has {counted(count, 'point')}: "
+            "no other settings were found whose errors differ from theirs and whose weighted sum is the least for some "
+            "weights"
         )
 
 
@@ -132,10 +133,10 @@ def _flat(config: Config | None, name: str) -> str:
     return f"{remark}; no pixel changes with it near its start: try another initial value, or a larger fit.anneal.start"
 
 
-def _on_bounds(config: Config | None, parameters: Sequence[Parameter], result: FitResult) -> Iterator[str]:
+def _on_bounds(config: Config | None, result: FitResult) -> Iterator[str]:
     """A sentence for each value on a bound beyond which the error may fall further. Of a picture, also for one at the
     limit of its key, which nothing can be beyond."""
-    named = {parameter.name: parameter for parameter in parameters}
+    named = {parameter.name: parameter for parameter in result.parameters}
     for name, side, bound, falls in result.at_bounds:
         if not falls or name in result.flat:
             continue

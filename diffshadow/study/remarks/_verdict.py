@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from ..._words import counted
-from ...config import Config, FitPlan
+from ...config import Config
 from ...fit import FitResult
 from ..pages._table import UNEXPLAINED
 from ._course import was_cut_short, what_is_fitted
@@ -77,12 +77,7 @@ class Verdict(NamedTuple):
 
 
 def verdict(
-    config: Config | None,
-    plan: FitPlan,
-    result: FitResult,
-    before: float,
-    after: float,
-    found: Unexplained | None,
+    config: Config | None, result: FitResult, before: float, after: float, found: Unexplained | None
 ) -> Verdict:
     """The verdict of a fit.
 
@@ -93,14 +88,14 @@ def verdict(
     - `found`: what the fit leaves unexplained.
     """
     if found is not None:
-        return unexplained_verdict(config, plan, found)
+        return unexplained_verdict(config, found, starts=result.search.starts, moves=result.arrangement is not None)
     names = _listed(list(result.fitted))
     if set(result.flat) == set(result.fitted):
         return Verdict("nothing fitted", f"nothing was fitted: the error does not change with {names} near the start")
-    if _was_best(plan, result) and was_cut_short(result):
+    if _was_best(result) and was_cut_short(result):
         return Verdict("cut short", _cut_short(result, before, after))
-    if _was_best(plan, result):
-        return Verdict(BEST_ALREADY, _best_already(plan, result, before, after))
+    if _was_best(result):
+        return Verdict(BEST_ALREADY, _best_already(config, result, before, after))
     if after >= before:
         # Of another loss, or by preference.
         return Verdict(
@@ -118,18 +113,22 @@ def verdict(
     )
 
 
-def unexplained_verdict(config: Config | None, plan: FitPlan, found: Unexplained) -> Verdict:
-    """The verdict of a fit that does not explain its references."""
-    return Verdict(UNEXPLAINED, _unexplained(found), list(_remedies(config, plan, found)), found.constant)
+def unexplained_verdict(config: Config | None, found: Unexplained, *, starts: int, moves: bool) -> Verdict:
+    """The verdict of a fit that does not explain its references.
+
+    **Arguments:** `starts`: of the fit; `moves`: whether it moved lights, meshes or the camera.
+    """
+    remedies = list(_remedies(config, found, starts, moves=moves))
+    return Verdict(UNEXPLAINED, _unexplained(found), remedies, found.constant)
 
 
-def _was_best(plan: FitPlan, result: FitResult) -> bool:
+def _was_best(result: FitResult) -> bool:
     """Whether the error at the start is the best within the tolerance."""
     # With several starts, the best start may differ from the configured one.
-    starts = [p.initial for p in plan.parameters]
+    starts = [p.initial for p in result.parameters]
     is_own = np.allclose(starts, list(result.initial.values()), rtol=1e-5, atol=0)
     before, best = result.errors
-    return is_own and before <= (1 + plan.tolerance) * best
+    return is_own and before <= (1 + result.sureness.tolerance) * best
 
 
 def _cut_short(result: FitResult, before: float, after: float) -> str:
@@ -138,12 +137,16 @@ def _cut_short(result: FitResult, before: float, after: float) -> str:
     return f"the fit ended before it converged: its RMSE {error} in {steps}, and more steps may find better values"
 
 
-def _best_already(plan: FitPlan, result: FitResult, before: float, after: float) -> str:
+def _best_already(config: Config | None, result: FitResult, before: float, after: float) -> str:
     best = "your settings are already the best"
     if result.fitted == result.initial:
         return f"{best}: no values that the fit tried have a smaller error than their RMSE of {before:.4f}"
-    by = "the values that fit.prefer chose" if plan.prefer else "the fitted values"
-    return f"{best} within {100 * plan.tolerance:.3g} %: their RMSE is {before:.4f}, and {by} have {after:.4f}"
+    by = "the fitted values"
+    if result.sureness.prefer:
+        by = f"the values that {'Sureness.prefer' if config is None else 'fit.prefer'} chose"
+    return (
+        f"{best} within {100 * result.sureness.tolerance:.3g} %: their RMSE is {before:.4f}, and {by} have {after:.4f}"
+    )
 
 
 def _unexplained(found: Unexplained) -> str:
@@ -157,22 +160,22 @@ def _unexplained(found: Unexplained) -> str:
     return f"{says}: rays in the fitted scene differ from {which} by {found.by_rays:.4f} RMSE"
 
 
-def _remedies(config: Config | None, plan: FitPlan, found: Unexplained) -> Iterator[str]:
+def _remedies(config: Config | None, found: Unexplained, starts: int, *, moves: bool) -> Iterator[str]:
     if len(found.keys) > 1:
         yield f"this concerns {_listed(found.keys, 'views')}"
     if found.change is not None and (steps := list(_mended(found, found.change))):
         yield from steps
         return
-    starts = _STARTS if plan.starts == 1 else min(4 * plan.starts, _MAX_STARTS)
+    starts = _STARTS if starts == 1 else min(4 * starts, _MAX_STARTS)
     more = f"search=fit.Search(starts={starts})" if config is None else f"fit.multistart={starts}"
-    if plan.arrangement is not None:
+    if moves:
         yield f"try more starts, {more}, or other initial values: the fit may have ended in a local minimum"
     if found.keys and found.given:
         what = "check that it was made with this camera, this light and these meshes"
         yield f"the reference does not fit if it is flipped or inverted either: {what}"
         if config is not None and not _fits_lights(config) and (pose := _pose_of_light(config)):
             yield f"if the light is unknown, fit it as well: add {pose} to fit.parameters, with {more}"
-    if not found.keys and plan.arrangement is None:
+    if not found.keys and not moves:
         larger = "a shadow map of more texels" if config is None else "a larger shadow_map.resolution"
         yield f"try more starts, {more}, other initial values, or {larger}"
 

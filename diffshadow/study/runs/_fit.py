@@ -65,9 +65,11 @@ def run_fit(config: Config, *, console: Console) -> Path:
     )
     if fitted.result.profiles:
         table.print_profiles(console, fitted.result.profiles, fitted.result.fitted)
-        if fitted.plan.prefer:
+        if fitted.result.sureness.prefer:
             chosen = "fit.prefer chose the fitted values among those with at most"
-            table.print_lines(console, [f"{chosen} {100 * fitted.plan.tolerance:.3g} % more than the least error"])
+            table.print_lines(
+                console, [f"{chosen} {100 * fitted.result.sureness.tolerance:.3g} % more than the least error"]
+            )
     if fitted.result.front:
         table.print_front(console, list(fitted.result.fitted), fitted.result.front)
     if fitted.validation:
@@ -97,19 +99,19 @@ def fit_technique(config: Config, stages: Stages, on_step: Callable[[fit.Step], 
     else:
         problems = poses.problems_of(plan, loaded.scene, drawn)
         drawn = poses.with_references_of(problems, drawn)
-    result = solve(problems[: views.seen], plan, config.seed, stages, on_step)
+    result = solve(problems[: views.seen], plan, stages, on_step)
     with stages.stage("measuring"):
         (before, after), seen = states_of(plan, result, problems, drawn, stages)
         pairs = lambda images: stages.counted("errors of image", list(zip(images, drawn, strict=True)))
         errors_before, errors_after = ([record.measured(*pair) for pair in pairs(each)] for each in (before, after))
         left = unexplained(fitted_images(views, drawn, after, seen[1], result))
     of_seen = lambda errors: record.combined(errors[: views.seen], drawn[: views.seen])
-    said = verdict(config, plan, result, of_seen(errors_before)["rmse"], of_seen(errors_after)["rmse"], left)
+    said = verdict(config, result, of_seen(errors_before)["rmse"], of_seen(errors_after)["rmse"], left)
     messages = [
         *views.remarks,
         *layout_remarks(technique, [each.key for each in drawn], [each.state for each in drawn]),
         *(reference_remarks(config, drawn) if len(views.all) == 1 else []),
-        *remarks(config, plan, result, said.kind),
+        *remarks(config, result, said.kind),
     ]
     errors = errors_before, errors_after
     return FittedRun(config.name, config, plan, views, drawn, result, before, after, *errors, messages, seen, said)

@@ -66,7 +66,7 @@ def run_picture(config: Config, *, console: Console) -> Path:
     with Stages(console) as stages:
         problem, planned = picture_problem(config, stages)
         plan = planned.fit
-        result = solve([problem], plan, config.seed, stages)
+        result = solve([problem], plan, stages)
         with stages.stage("measuring"):
             fitted = _finished(config.name, config, plan, result, planned.remarks)
         with stages.stage("writing"):
@@ -185,8 +185,8 @@ def _finished(
     before, after = (measured[state]["rmse"] for state in PICTURE_STATES[1:])
     # One colour all over a picture of one colour has no error.
     left = Unexplained(after, constant) if after >= constant > 0 else None
-    said = verdict(config, plan, result, before, after, left)
-    messages = [*of_scene, *remarks(config, plan, result, said.kind)]
+    said = verdict(config, result, before, after, left)
+    messages = [*of_scene, *remarks(config, result, said.kind)]
     return FittedPicture(name, config, plan, result, pictures, mask, problem.encoding, placed, measured, said, messages)
 
 

@@ -101,9 +101,9 @@ def _measured(
     errors_before, errors_after = (list(map(record.measured, each, drawn)) for each in images)
     left = unexplained(fitted_images(views, drawn, after, seen[1], result))
     at_first, at_last = (record.combined(errors, drawn)["rmse"] for errors in (errors_before, errors_after))
-    said = verdict(None, plan, result, at_first, at_last, left)
+    said = verdict(None, result, at_first, at_last, left)
     of_layout = layout_remarks(result.technique, [each.key for each in drawn], [each.state for each in drawn])
-    messages = [*of_layout, *remarks(None, plan, result, said.kind)]
+    messages = [*of_layout, *remarks(None, result, said.kind)]
     errors = errors_before, errors_after
     has_scene = all(each.scene is not None for each in drawn)
     return FittedRun(name, None, plan, views, drawn, result, before, after, *errors, messages, seen, said, has_scene)
@@ -116,24 +116,16 @@ def _views(drawn: Sequence[Drawn]) -> Views:
 
 def _plan(result: fit.FitResult) -> FitPlan:
     """What a configuration says of a fit, as far as it is known."""
-    within = result.profiles[0].intervals if result.profiles else ()
     moving: Any = result.problems[0] if result.arrangement is not None else None
     return FitPlan(
         parameters=list(result.parameters),
-        solver=result.solver or fit.Solver(),
+        solver=result.solver,
         anneal=fit.Anneal(),
         loss=None,
+        search=result.search,
+        sureness=result.sureness,
         arrangement=None if moving is None else moving.arrangement,
-        blurs=None,
-        starts=max(len(result.starts), 1),
-        evaluations=1,
-        pixels=1,
-        devices=1,
         truth={},
-        within=tuple(each.within for each in within),
-        prefer=(),
-        tolerance=fit.Sureness.tolerance,
-        front=len(result.front),
     )
 
 

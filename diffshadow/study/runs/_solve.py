@@ -31,7 +31,7 @@ def plan_fit(config: Config, scene: geometry.Scene) -> FitPlan:
     """
     plan = build_fit(config, scene)
     try:
-        fit.devices_of(plan.devices, moves=config.moves)
+        fit.devices_of(plan.search.devices, moves=config.moves)
     except ValueError as error:
         raise ConfigError([Mistake(config.origin.place(("fit", "devices")), "fit.devices", str(error))]) from error
     return plan
@@ -40,7 +40,6 @@ def plan_fit(config: Config, scene: geometry.Scene) -> FitPlan:
 def solve(
     problems: Sequence[fit.AbstractProblem],
     plan: FitPlan,
-    seed: int,
     stages: Stages,
     on_step: Callable[[fit.Step], None] | None = None,
 ) -> fit.FitResult:
@@ -52,8 +51,8 @@ def solve(
         solver=plan.solver,
         anneal=plan.anneal,
         loss=plan.loss,
-        search=fit.Search(plan.starts, seed, plan.blurs, plan.evaluations, pixels=plan.pixels, devices=plan.devices),
-        sureness=fit.Sureness(plan.within, plan.prefer, plan.tolerance, plan.front),
+        search=plan.search,
+        sureness=plan.sureness,
         on_step=on_step,
         progress=lambda detail, done: stages.show("fitting", detail, done),
     )
