@@ -16,6 +16,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
 import pytest
+from diffshadow.study.record._files import read_record
+from diffshadow.study.record._stored import read_run
+from diffshadow.study.record._sweeps import Outcome
 from rich.console import Console
 from scenes import staying_in
 from stored_runs import write_fit, write_render, write_sweep
@@ -23,7 +26,6 @@ from stored_runs import write_fit, write_render, write_sweep
 from diffshadow import io, study
 from diffshadow.cli import main
 from diffshadow.config import load_sweep, parse_config
-from diffshadow.study.files._stored import read_result, read_run
 from diffshadow.study.sweeps import _work as sweep_work
 
 DELETED = object()
@@ -106,7 +108,7 @@ def test_every_value_of_a_result_may_be_wrong(kind, runs, told, tmp_path):
         for wrong in WRONG:
             put(folder, changed(good, path, wrong))
             with contextlib.suppress(io.FileError):
-                read_result(folder) if kind == "sweep" else read_run(folder)
+                read_record(folder) if kind == "sweep" else read_run(folder)
                 taken.setdefault(path, []).append(wrong)
     # What is read without an objection can be reported and compared, many such values at once.
     assert taken
@@ -307,7 +309,7 @@ def test_sweep_does_a_run_again_whose_result_is_wrong_anywhere(counted):
     good = json.loads((places[0] / "result.json").read_text())
     settings = load_sweep(Path("s.yaml")).settings
     sweep_folder, kept = places[0].parent.parent, 0
-    for path in key_paths({name: good[name] for name in sweep_work.Outcome._fields}):
+    for path in key_paths({name: good[name] for name in Outcome.model_fields if name in ("id", "status", "error", "metrics", "seconds")}):
         for wrong in WRONG:
             result = changed(good, path, wrong)
             put(places[0], result)

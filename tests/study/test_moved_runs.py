@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from diffshadow.study.record._stored import read_run
 from rich.console import Console
 from scenes import marked, staying_in
 from stored_runs import write_render
@@ -14,7 +15,6 @@ from stored_runs import write_render
 from diffshadow import study
 from diffshadow.cli import main
 from diffshadow.config import Config, ConfigError, describe, dump_resolved, fit_paths, load_config, parse_config
-from diffshadow.study.files._stored import read_run
 
 pytestmark = pytest.mark.usefixtures("tiny_figures")
 

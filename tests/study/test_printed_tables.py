@@ -32,26 +32,24 @@ def printed(show, *arguments):
 
 
 def test_a_fit_has_its_values_and_errors_before_and_after():
-    rows, text = printed(table.print_fit, "named", [RADIUS, BIAS], FITTED, BEFORE, AFTER)
+    rows, text = printed(shown.print_fit, FIT)
     assert text.startswith("named")
     assert rows[1:3] == [["filter.radius", "2", "3.25", "texels"], ["bias.constant", "0.5", "1.75", "texels"]]
     assert rows[3:] == ERRORS
 
 
 def test_validation_has_the_errors_of_its_views():
-    rows, text = printed(table.print_validation, 7, BEFORE, AFTER)
+    rows, text = printed(shown.print_validation, 7, BeforeAndAfter(before=BEFORE, after=AFTER))
     assert "7 views for validation" in text
     assert rows[1:] == ERRORS
 
 
 def test_profiles_have_values_and_not_errors():
-    ends = [(2.9, 3.6), (2.0, 16.0)]
-    intervals = [
-        Interval(within, End(low, 0.101, False), End(high, 0.102, high == 16.0))
-        for within, (low, high) in zip((0.01, 0.05), ends, strict=True)
-    ]
-    profile = Profile("filter.radius", (3.1, 0.1), [(2.9, 0.101), (3.1, 0.1)], intervals)
-    rows, _ = printed(table.print_profiles, [profile], FITTED)
+    end = lambda value, error: End(value=value, error=error, is_bound=value == 16.0)
+    ends = {0.01: (2.9, 3.6), 0.05: (2.0, 16.0)}
+    intervals = [Interval(within=w, lower=end(low, 0.101), upper=end(high, 0.102)) for w, (low, high) in ends.items()]
+    profile = Profile(best=At(value=3.1, error=0.1), points=[[2.9, 0.101], [3.1, 0.1]], intervals=intervals)
+    rows, _ = printed(shown.print_profiles, {"filter.radius": profile}, FIT.fitted)
     assert rows == [
         ["error along each", "fitted", "least error", "within 1 %", "within 5 %"],
         ["filter.radius", "3.25", "3.1", "2.9 to 3.6", "2 to 16 (bound)"],
@@ -59,12 +57,18 @@ def test_profiles_have_values_and_not_errors():
 
 
 def test_a_front_has_its_errors_and_values_and_marks_its_knee():
+    numbers = [(1.0, 2.0, 0.01, 0.09, 0.0906), (3.0, 4.0, 0.03, 0.05, 0.0583), (5.0, 6.0, 0.08, 0.02, 0.05)]
     front = [
-        FrontPoint((1.0, 2.0), 0.01, 0.09, 4.0, 0.0906, False),
-        FrontPoint((3.0, 4.0), 0.03, 0.05, 1.0, 0.0583, True),
-        FrontPoint((5.0, 6.0), 0.08, 0.02, 0.25, 0.05, False),
+        FrontPoint(
+            values={"filter.radius": radius, "bias.constant": bias},
+            false_shadow=dark,
+            false_light=light,
+            rmse=rmse,
+            is_knee=bias == 4.0,
+        )
+        for radius, bias, dark, light, rmse in numbers
     ]
-    rows, text = printed(table.print_front, ["filter.radius", "bias.constant"], front)
+    rows, text = printed(shown.print_front, front)
     assert rows == [
         ["false shadow", "false light", "RMSE", "filter.radius", "bias.constant", ""],
         ["0.0100", "0.0900", "0.0906", "1", "2", ""],

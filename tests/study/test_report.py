@@ -11,6 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from diffshadow.study.runs._measure import combined
 from matplotlib.image import imread
 from rich.console import Console
 from stored_runs import write_fit, write_sweep
@@ -19,7 +20,6 @@ from diffshadow import study
 from diffshadow.cli import main
 from diffshadow.study.pages._compare import _errors
 from diffshadow.study.pages._table import ERRORS
-from diffshadow.study.runs._record import combined
 
 
 class Parsed(html.parser.HTMLParser):
@@ -124,7 +124,8 @@ def read(data: str) -> np.ndarray:
 
 
 def test_differences_share_the_least_scale_that_holds_nearly_all(tmp_path):
-    from diffshadow.study.files._stored import read_run
+    from diffshadow.study.record._stored import read_run
+
     from diffshadow.study.pages._figures import difference_limit
 
     run = read_run(write_fit(tmp_path / "tiny"))
@@ -149,7 +150,8 @@ def test_several_lights_have_pictures_and_errors_each(tmp_path):
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("form", ["svg", pytest.param("pdf", marks=pytest.mark.exhaustive)])
 def test_figures_are_written_again_in_any_format(form, tmp_path):
-    from diffshadow.study.files._stored import read_run
+    from diffshadow.study.record._stored import read_run
+
     from diffshadow.study.pages._figures import write_figures
 
     folder = write_fit(tmp_path / "tiny")
@@ -165,15 +167,15 @@ def test_figures_are_written_again_in_any_format(form, tmp_path):
 
 
 def test_parameter_curves_mark_near_bounds_phases_and_truth(tmp_path):
+    from diffshadow.study.record._stored import read_run
     from matplotlib.colors import to_hex
 
     from diffshadow.study import style
-    from diffshadow.study.files._stored import read_run
     from diffshadow.study.pages._figures import parameters
 
     run = read_run(write_fit(tmp_path / "tiny"))
-    result = {**run.result, "poses": {"truth": {"filter.radius": 3.0}}}
-    bias, radius = parameters(result, run.arrays).axes
+    known = run.record.model_copy(update={"poses": Poses(truth={"filter.radius": 3.0})})
+    bias, radius = parameters(dataclasses.replace(run, record=known)).axes
     level = lambda axes, colour: [line.get_ydata()[0] for line in axes.lines if to_hex(line.get_color()) == colour]
     assert level(bias, style.INK) == [0]
     assert level(radius, style.INK) == [0]
@@ -237,18 +239,21 @@ def test_pages_start_with_pictures_and_end_with_commands(tmp_path):
 
 
 def test_commands_of_a_draft_name_the_folder_that_it_becomes(tmp_path, monkeypatch):
-    from diffshadow.study.files._run_folder import final_folder, write_whole
+    from diffshadow.study.record._folder import final_folder, write_whole
+    from diffshadow.study.record._stored import read_run
+
     from diffshadow.study.pages._next import after_run
 
     seen = []
     write_whole(tmp_path / "a-run", seen.append)
     assert seen[0] != tmp_path / "a-run"
     assert final_folder(seen[0]) == final_folder(tmp_path / "a-run") == tmp_path / "a-run"
-    (draw, *_) = after_run(seen[0], {"kind": "render", "command": "diffshadow render a.yaml"}, "shadow_map")
+    record = read_run(write_render(tmp_path / "rendered", parse_config(SMALL))).record
+    (draw, *_) = after_run(seen[0], record, "shadow_map")
     assert draw.text == f"diffshadow fit {tmp_path}/a-run/config.yaml"
     # The commands work in any folder.
     monkeypatch.chdir(tmp_path)
-    assert after_run(Path("a-run"), {"kind": "render"}, "shadow_map")[0] == draw
+    assert after_run(Path("a-run"), record, "shadow_map")[0] == draw
 
 
 def test_comparison_of_different_scenes_is_remarked(tmp_path):
@@ -276,7 +281,7 @@ def test_comparison_of_different_scenes_is_remarked(tmp_path):
 
 def test_comparison_marks_the_greatest_ssim_and_the_least_of_the_other_errors():
     errors = [dict.fromkeys(ERRORS, value) for value in (0.3, 0.2, 0.4)]
-    lines = _errors([SimpleNamespace(errors=[("", each)]) for each in errors])
+    lines = _errors([SimpleNamespace(errors=[("", SimpleNamespace(**each))]) for each in errors])
     ssim = list(ERRORS).index("ssim")
     assert [line.best for line in lines] == [{2} if i == ssim else {1} for i in range(len(lines))]
 

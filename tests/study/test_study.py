@@ -15,6 +15,7 @@ from pathlib import Path
 import equinox as eqx
 import numpy as np
 import pytest
+from diffshadow.study.runs._measure import perceptual_error
 from rich.console import Console
 from scenes import staying_in
 from stored_runs import TINY
@@ -28,7 +29,6 @@ from diffshadow.study.runs import _convert, _engine
 from diffshadow.study.runs._engine_fits import Lit
 from diffshadow.study.runs._progress import Stages
 from diffshadow.study.runs._setup import Loaded, _traced, draw
-from diffshadow.study.runs._shade import perceptual_error
 
 ROOT = Path(__file__).parents[2]
 QUICKSTART = ROOT / "configs" / "quickstart.yaml"

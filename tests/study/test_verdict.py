@@ -12,6 +12,7 @@ from diffshadow.config import parse_config
 from diffshadow.geometry import Scene
 from diffshadow.study._drawn import Drawn
 from diffshadow.study.pages._table import knee_text
+from diffshadow.study.record._runs import FrontPoint
 from diffshadow.study.remarks._fit import remarks
 from diffshadow.study.remarks._verdict import verdict
 from diffshadow.study.runs._explained import Fitted, unexplained
@@ -262,7 +263,9 @@ def test_a_front_of_fewer_points_than_asked_for_is_remarked_on():
     ],
 )
 def test_what_the_knee_of_a_front_costs_is_said(errors, knee, said):
-    assert knee_text([(error, i == knee) for i, error in enumerate(errors)]) == said
+    point = {"values": {"bias.constant": 1.0}, "false_shadow": 0.1, "false_light": 0.1}
+    front = [FrontPoint(**point, rmse=error, is_knee=i == knee) for i, error in enumerate(errors)]
+    assert knee_text(front) == said
 
 
 def test_a_solver_that_failed_is_reported_whatever_its_history():

@@ -249,7 +249,7 @@ def build_fit(config: Config, scene: geometry.Scene | None = None) -> FitPlan:
             start = start if bounds.initial is None else bounds.initial
             parameters.append(fit.Parameter(name, start, *limits, units[name], path, offset))
     section = config.fit
-    towards = {name: _towards_zero(section.parameters[name]) for name in preferences(section)}
+    prefer: dict[str, fit.Bound] = {name: _towards_zero(section.parameters[name]) for name in preferences(section)}
     return FitPlan(
         parameters=parameters,
         solver=built_solver,
@@ -263,7 +263,7 @@ def build_fit(config: Config, scene: geometry.Scene | None = None) -> FitPlan:
             pixels=section.pixels,
             devices=section.devices,
         ),
-        sureness=fit.Sureness(section.intervals, tuple(towards.items()), section.tolerance, section.front),
+        sureness=fit.Sureness(section.intervals, tuple(prefer.items()), section.tolerance, section.front),
         arrangement=arrangement,
         truth=truth,
     )

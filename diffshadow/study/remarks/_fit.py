@@ -6,7 +6,7 @@ from ..._checks import text_within
 from ..._words import counted, plural
 from ...config import Config, is_limit
 from ...fit import FitResult, Outcome
-from ..pages._table import UNEXPLAINED
+from ..record._runs import BEST_ALREADY, UNEXPLAINED
 from ._course import (
     CUT_SHORT,
     STILL_FALLING,
@@ -18,13 +18,12 @@ from ._course import (
     what_is_fitted,
 )
 from ._pose import pose_remarks
-from ._verdict import BEST_ALREADY, Kind
 
 # An interval longer than this part of the distance between the bounds says that a value hardly matters.
 _FLAT = 0.5
 
 
-def remarks(config: Config | None, result: FitResult, kind: Kind = "fitted") -> list[str]:
+def remarks(config: Config | None, result: FitResult, kind: str = "fitted") -> list[str]:
     """A sentence for each reason not to rely on the fit.
 
     **Arguments:**

@@ -1,44 +1,43 @@
 """What a fit of a shape comes to, in words, and reasons not to rely on it."""
 
-from collections.abc import Iterator, Mapping
-from typing import Any
+from collections.abc import Iterator
 
 import numpy as np
 
 from ..._words import counted
 from ...fit import FittedShape
+from ..record._runs import BEST_ALREADY, ShapeMetrics, Verdict
 from ._course import STILL_FALLING
-from ._verdict import BEST_ALREADY, Verdict
 
 
-def shape_verdict(result: FittedShape, measured: Mapping[str, Any]) -> Verdict:
+def shape_verdict(result: FittedShape, measured: ShapeMetrics) -> Verdict:
     """The verdict of a fit of a shape.
 
-    **Arguments:** `measured`: its metrics, as in `result.json`.
+    **Arguments:** `measured`: how close it is.
     """
-    mean = lambda lights, key: float(np.mean([light[key] for light in lights]))
-    lights, steps = measured["lights"], counted(len(result.history), "step")
-    overlap = f"{mean(lights, 'rays'):.1%}"
+    overlap = f"{np.mean([light.rays for light in measured.lights]):.1%}"
     if result.chosen < 0:
         kind = BEST_ALREADY
         text = (
             f"no phase ended better than the start, which is the result: its shadows overlap their targets to {overlap}"
         )
     else:
-        kind = "fitted"
-        text = f"the shadows overlap their targets to {overlap} by rays, from {mean(lights, 'before'):.1%}, in {steps}"
-    if measured.get("unseen"):
-        text += f", and to {mean(measured['unseen'], 'rays'):.1%} under lights that the fit has not seen"
-    if measured.get("chamfer") is not None:
-        text += f"; the shape is {measured['chamfer'] / measured['size']:.2%} of its size from the truth on average"
-    pairs, remedies = measured["self_intersections"], []
+        kind, before = "fitted", np.mean([light.before for light in measured.lights])
+        steps = counted(len(result.history), "step")
+        text = f"the shadows overlap their targets to {overlap} by rays, from {before:.1%}, in {steps}"
+    if measured.unseen:
+        unseen = np.mean([light.rays for light in measured.unseen])
+        text += f", and to {unseen:.1%} under lights that the fit has not seen"
+    if measured.chamfer is not None and measured.size is not None:
+        text += f"; the shape is {measured.chamfer / measured.size:.2%} of its size from the truth on average"
+    pairs, remedies = measured.self_intersections, []
     if pairs:
         text += f"; the surface intersects itself in {counted(pairs, 'pair')} of faces"
         remedies = [
             "raise normal_consistency of the phases of fit.shape, to 0.001 for example, for a surface that crosses "
             "itself less"
         ]
-    return Verdict(kind, text, remedies)
+    return Verdict(kind=kind, sentence=text, remedies=remedies)
 
 
 def shape_remarks(result: FittedShape) -> Iterator[str]:

@@ -1,18 +1,15 @@
 """What a fit comes to, in words: the first thing that its console, its report and its `result.json` say."""
 
 from collections.abc import Iterator, Sequence
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from ..._words import counted
 from ...config import Config
 from ...fit import FitResult
-from ..pages._table import UNEXPLAINED
+from ..record._runs import BEST_ALREADY, UNEXPLAINED, Verdict
 from ._course import was_cut_short, what_is_fitted
-
-BEST_ALREADY = "best already"
-Kind = Literal["unexplained", "best already", "cut short", "nothing fitted", "fitted"]
 
 # If this many parameters precede the last one, a sentence counts them instead of naming them.
 _MANY = 3
@@ -59,23 +56,6 @@ class Unexplained(NamedTuple):
     change: Change | None = None
 
 
-class Verdict(NamedTuple):
-    """What a fit comes to.
-
-    - `kind`: `"unexplained"` if it does not explain its references, `"best already"` if the start is as good as the
-        result, `"cut short"` if the solver had too few steps to tell, `"nothing fitted"` if no parameter has a slope,
-        and otherwise `"fitted"`.
-    - `sentence`: that in words, without a full stop.
-    - `remedies`: what to try, a sentence each.
-    - `constant_rmse`: the least RMSE of constant images, if the references are not explained.
-    """
-
-    kind: Kind
-    sentence: str
-    remedies: list[str] = []  # noqa: RUF012
-    constant_rmse: float | None = None
-
-
 def verdict(
     config: Config | None, result: FitResult, before: float, after: float, found: Unexplained | None
 ) -> Verdict:
@@ -91,24 +71,27 @@ def verdict(
         return unexplained_verdict(config, found, starts=result.search.starts, moves=result.arrangement is not None)
     names = _listed(list(result.fitted))
     if set(result.flat) == set(result.fitted):
-        return Verdict("nothing fitted", f"nothing was fitted: the error does not change with {names} near the start")
+        return Verdict(
+            kind="nothing fitted", sentence=f"nothing was fitted: the error does not change with {names} near the start"
+        )
     if _was_best(result) and was_cut_short(result):
-        return Verdict("cut short", _cut_short(result, before, after))
+        return Verdict(kind="cut short", sentence=_cut_short(result, before, after))
     if _was_best(result):
-        return Verdict(BEST_ALREADY, _best_already(config, result, before, after))
+        return Verdict(kind=BEST_ALREADY, sentence=_best_already(config, result, before, after))
     if after >= before:
         # Of another loss, or by preference.
         return Verdict(
-            "fitted",
-            f"fitting {names} changed the RMSE from {before:.4f} to {after:.4f} in {counted(result.steps, 'step')}; "
-            f"the fit's own loss fell from {result.errors[0] ** 2:.3g} to {result.errors[1] ** 2:.3g}",
+            kind="fitted",
+            sentence=f"fitting {names} changed the RMSE from {before:.4f} to {after:.4f} in "
+            f"{counted(result.steps, 'step')}; the fit's own loss fell from {result.errors[0] ** 2:.3g} to "
+            f"{result.errors[1] ** 2:.3g}",
         )
     whose = "picture's" if what_is_fitted(result) == "picture" else "shadow's"
     factor = before / max(after, 1e-12)
     by = f"a factor of {factor:.1f}" if factor >= _MUCH_BETTER else f"{100 * (1 - 1 / factor):.1f} %"
     return Verdict(
-        "fitted",
-        f"fitting {names} reduced the {whose} error from {before:.4f} to {after:.4f} RMSE, by {by}, in "
+        kind="fitted",
+        sentence=f"fitting {names} reduced the {whose} error from {before:.4f} to {after:.4f} RMSE, by {by}, in "
         f"{counted(result.steps, 'step')}",
     )
 
@@ -119,7 +102,7 @@ def unexplained_verdict(config: Config | None, found: Unexplained, *, starts: in
     **Arguments:** `starts`: of the fit; `moves`: whether it moved lights, meshes or the camera.
     """
     remedies = list(_remedies(config, found, starts, moves=moves))
-    return Verdict(UNEXPLAINED, _unexplained(found), remedies, found.constant)
+    return Verdict(kind=UNEXPLAINED, sentence=_unexplained(found), remedies=remedies, constant_rmse=found.constant)
 
 
 def _was_best(result: FitResult) -> bool:

@@ -12,9 +12,6 @@ from ...settings import scene
 from ...shadow import BabylonJs, EngineLight, FittableTechnique, ThreeJs, engine_code
 from .._drawn import Drawn
 
-CODE = "engine.js"
-"""The file in a run's folder that holds the code."""
-
 
 def code_of(technique: FittableTechnique, config: Config, drawn: Sequence[Drawn]) -> dict[str, str]:
     """The code for each light of `config`, by its key; none if the technique is no engine's."""
