@@ -451,7 +451,9 @@ def test_verdict_says_what_a_constant_bias_loses_to_have_as_little_acne():
     assert "The constant bias removes acne to the 0.10 % of slope at 2.5 texels, with as little false light" in free
     # With as little acne as it is, nothing is to be said.
     alike = candidate("c", 0.05, 2.0, false_shadow=0.00105, false_light=0.002)
-    assert "removes acne" not in " ".join(verdict(findings(alike, constant=LeastBias(value=4.2, false_shadow=0.001, false_light=0.021))))
+    assert "removes acne" not in " ".join(
+        verdict(findings(alike, constant=LeastBias(value=4.2, false_shadow=0.001, false_light=0.021)))
+    )
 
 
 def test_verdict_claims_no_difference_below_the_noise():
@@ -590,7 +592,10 @@ def test_advice_on_a_reference_that_is_upside_down_says_so(finished, tmp_path):
 
 
 def test_what_is_wrong_is_said_first(quick, monkeypatch):
-    busy = lambda configs, progress: (times_of(np.ones((1, len(configs), 2)), range(len(configs))), Load(others=0.5, unevenness=0.0))
+    busy = lambda configs, progress: (
+        times_of(np.ones((1, len(configs), 2)), range(len(configs))),
+        Load(others=0.5, unevenness=0.0),
+    )
     monkeypatch.setattr(module, "measure_times", busy)
     monkeypatch.setattr(module, "unexplained_by", lambda config: ["it explains nothing"])
     folder, said = run(load_advice(Path("a.yaml"), ["output=out"]))
@@ -628,7 +633,10 @@ def quick(monkeypatch):
         }
 
     monkeypatch.setitem(work._MEASURES, "fit", measure)
-    timed = lambda configs, progress: (times_of(np.ones((1, len(configs), 2)), range(len(configs))), Load(others=0.0, unevenness=0.0))
+    timed = lambda configs, progress: (
+        times_of(np.ones((1, len(configs), 2)), range(len(configs))),
+        Load(others=0.0, unevenness=0.0),
+    )
     monkeypatch.setattr(module, "measure_times", timed)
     monkeypatch.setattr(module, "unexplained_by", lambda config: [])
     monkeypatch.setattr(module, "least_bias_for", lambda *_: LeastBias(value=2.0, false_shadow=0.0, false_light=0.0))

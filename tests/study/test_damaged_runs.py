@@ -16,9 +16,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
 import pytest
-from diffshadow.study.record._files import read_record
-from diffshadow.study.record._stored import read_run
-from diffshadow.study.record._sweeps import Outcome
 from rich.console import Console
 from scenes import staying_in
 from stored_runs import write_fit, write_render, write_sweep
@@ -26,6 +23,9 @@ from stored_runs import write_fit, write_render, write_sweep
 from diffshadow import io, study
 from diffshadow.cli import main
 from diffshadow.config import load_sweep, parse_config
+from diffshadow.study.record._files import read_record
+from diffshadow.study.record._stored import read_run
+from diffshadow.study.record._sweeps import Outcome
 from diffshadow.study.sweeps import _work as sweep_work
 
 DELETED = object()
@@ -309,7 +309,9 @@ def test_sweep_does_a_run_again_whose_result_is_wrong_anywhere(counted):
     good = json.loads((places[0] / "result.json").read_text())
     settings = load_sweep(Path("s.yaml")).settings
     sweep_folder, kept = places[0].parent.parent, 0
-    for path in key_paths({name: good[name] for name in Outcome.model_fields if name in ("id", "status", "error", "metrics", "seconds")}):
+    for path in key_paths(
+        {name: good[name] for name in Outcome.model_fields if name in ("id", "status", "error", "metrics", "seconds")}
+    ):
         for wrong in WRONG:
             result = changed(good, path, wrong)
             put(places[0], result)

@@ -138,7 +138,10 @@ def quick(monkeypatch):
         return {**whole, **fitted, "steps": 3, "reference_noise_floor": None, "pixels": 9}
 
     monkeypatch.setitem(work._MEASURES, "fit", measure)
-    timed = lambda configs, progress: (times_of(np.ones((1, len(configs), 2)), range(len(configs))), Load(others=0.0, unevenness=0.0))
+    timed = lambda configs, progress: (
+        times_of(np.ones((1, len(configs), 2)), range(len(configs))),
+        Load(others=0.0, unevenness=0.0),
+    )
     monkeypatch.setattr(module, "measure_times", timed)
     monkeypatch.setattr(module, "unexplained_by", lambda config: [])
     monkeypatch.setattr(module, "_least_biases", lambda *_: {})

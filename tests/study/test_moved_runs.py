@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from diffshadow.study.record._stored import read_run
 from rich.console import Console
 from scenes import marked, staying_in
 from stored_runs import write_render
@@ -15,6 +14,7 @@ from stored_runs import write_render
 from diffshadow import study
 from diffshadow.cli import main
 from diffshadow.config import Config, ConfigError, describe, dump_resolved, fit_paths, load_config, parse_config
+from diffshadow.study.record._stored import read_run
 
 pytestmark = pytest.mark.usefixtures("tiny_figures")
 

@@ -1,5 +1,6 @@
 """Reports and comparisons of finished runs: what they say and show, and what they refuse."""
 
+import dataclasses
 import html.parser
 import io as text_io
 import json
@@ -11,15 +12,17 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from diffshadow.study.runs._measure import combined
 from matplotlib.image import imread
 from rich.console import Console
-from stored_runs import write_fit, write_sweep
+from stored_runs import write_fit, write_render, write_sweep
 
 from diffshadow import study
 from diffshadow.cli import main
+from diffshadow.config import parse_config
 from diffshadow.study.pages._compare import _errors
 from diffshadow.study.pages._table import ERRORS
+from diffshadow.study.record._runs import Poses
+from diffshadow.study.runs._measure import combined
 
 
 class Parsed(html.parser.HTMLParser):
@@ -124,9 +127,8 @@ def read(data: str) -> np.ndarray:
 
 
 def test_differences_share_the_least_scale_that_holds_nearly_all(tmp_path):
-    from diffshadow.study.record._stored import read_run
-
     from diffshadow.study.pages._figures import difference_limit
+    from diffshadow.study.record._stored import read_run
 
     run = read_run(write_fit(tmp_path / "tiny"))
     # Of 640 pixels, 16 are wrong by 1 before, which is more than one in a hundred; after, none by more than 0.05.
@@ -150,9 +152,8 @@ def test_several_lights_have_pictures_and_errors_each(tmp_path):
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("form", ["svg", pytest.param("pdf", marks=pytest.mark.exhaustive)])
 def test_figures_are_written_again_in_any_format(form, tmp_path):
-    from diffshadow.study.record._stored import read_run
-
     from diffshadow.study.pages._figures import write_figures
+    from diffshadow.study.record._stored import read_run
 
     folder = write_fit(tmp_path / "tiny")
     made = {f"{name}.{form}" for name in ("comparison", "shaded", "loss", "parameters")}
@@ -167,11 +168,11 @@ def test_figures_are_written_again_in_any_format(form, tmp_path):
 
 
 def test_parameter_curves_mark_near_bounds_phases_and_truth(tmp_path):
-    from diffshadow.study.record._stored import read_run
     from matplotlib.colors import to_hex
 
     from diffshadow.study import style
     from diffshadow.study.pages._figures import parameters
+    from diffshadow.study.record._stored import read_run
 
     run = read_run(write_fit(tmp_path / "tiny"))
     known = run.record.model_copy(update={"poses": Poses(truth={"filter.radius": 3.0})})
@@ -239,16 +240,20 @@ def test_pages_start_with_pictures_and_end_with_commands(tmp_path):
 
 
 def test_commands_of_a_draft_name_the_folder_that_it_becomes(tmp_path, monkeypatch):
+    from diffshadow.study.pages._next import after_run
     from diffshadow.study.record._folder import final_folder, write_whole
     from diffshadow.study.record._stored import read_run
-
-    from diffshadow.study.pages._next import after_run
 
     seen = []
     write_whole(tmp_path / "a-run", seen.append)
     assert seen[0] != tmp_path / "a-run"
     assert final_folder(seen[0]) == final_folder(tmp_path / "a-run") == tmp_path / "a-run"
-    record = read_run(write_render(tmp_path / "rendered", parse_config(SMALL))).record
+    record = read_run(
+        write_render(
+            tmp_path / "rendered",
+            parse_config("scene: {meshes: [path: 'builtin:torus'], camera: {resolution: [6, 8]}}"),
+        )
+    ).record
     (draw, *_) = after_run(seen[0], record, "shadow_map")
     assert draw.text == f"diffshadow fit {tmp_path}/a-run/config.yaml"
     # The commands work in any folder.

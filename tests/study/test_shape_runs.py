@@ -7,7 +7,6 @@ import os
 import jax
 import numpy as np
 import pytest
-from diffshadow.study.record._runs import Overlap, ShapeMetrics
 from PIL import Image
 from rich.console import Console
 
@@ -15,6 +14,7 @@ from diffshadow import fit, io, study
 from diffshadow.config import CONFIG_FILE, ConfigError, build_shape, load_config, parse_config
 from diffshadow.geometry import Mesh, library_mesh
 from diffshadow.raster import draw_surface
+from diffshadow.study.record._runs import Overlap, ShapeMetrics
 from diffshadow.study.remarks._shape import shape_remarks, shape_verdict
 from diffshadow.study.runs import _turntable
 from diffshadow.study.runs._checkpoint import Checkpoint

@@ -15,7 +15,6 @@ from pathlib import Path
 import equinox as eqx
 import numpy as np
 import pytest
-from diffshadow.study.runs._measure import perceptual_error
 from rich.console import Console
 from scenes import staying_in
 from stored_runs import TINY
@@ -27,6 +26,7 @@ from diffshadow.config import ConfigError, build_scene, build_technique, fit_pat
 from diffshadow.shadow import Bias, Nearest, ShadowMapping, SoftCompare, ThreeJs, engine_code
 from diffshadow.study.runs import _convert, _engine
 from diffshadow.study.runs._engine_fits import Lit
+from diffshadow.study.runs._measure import perceptual_error
 from diffshadow.study.runs._progress import Stages
 from diffshadow.study.runs._setup import Loaded, _traced, draw
 

@@ -10,7 +10,6 @@ import sys
 import jax
 import numpy as np
 import pytest
-from diffshadow.study.runs._visibility import spaced
 from rich.console import Console
 from scenes import free_port, staying_in
 from stored_runs import TINY
@@ -20,6 +19,7 @@ from diffshadow.config import ConfigError, build_fittable, parse_config
 from diffshadow.study.runs._progress import Stages
 from diffshadow.study.runs._setup import draw, load
 from diffshadow.study.runs._views import draw_views
+from diffshadow.study.runs._visibility import spaced
 
 VIEWS = [
     "fit.views={grid: {scene.light.azimuth: [-150, -30]}}",
