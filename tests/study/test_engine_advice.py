@@ -20,7 +20,7 @@ from diffshadow.study.advice import _advise as module
 from diffshadow.study.advice._engines import engine_code
 from diffshadow.study.advice._times import times_of
 from diffshadow.study.record._sweeps import Load
-from diffshadow.study.runs._engine_fits import lit_by
+from diffshadow.study.runs._engine import lit_by
 from diffshadow.study.runs._progress import Stages
 from diffshadow.study.sweeps._pace import Pace, saying_how_long
 

@@ -15,7 +15,8 @@ from diffshadow.config import CONFIG_FILE, ConfigError, build_shape, load_config
 from diffshadow.geometry import Mesh, library_mesh
 from diffshadow.raster import draw_surface
 from diffshadow.study.record._runs import Overlap, ShapeMetrics
-from diffshadow.study.remarks._shape import shape_remarks, shape_verdict
+from diffshadow.study.remarks._fit import shape_remarks
+from diffshadow.study.remarks._verdict import shape_verdict
 from diffshadow.study.runs import _turntable
 from diffshadow.study.runs._checkpoint import Checkpoint
 from diffshadow.study.runs._progress import Stages

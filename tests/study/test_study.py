@@ -25,7 +25,7 @@ from diffshadow.cli import main
 from diffshadow.config import ConfigError, build_scene, build_technique, fit_paths, load_config, settings_file
 from diffshadow.shadow import Bias, Nearest, ShadowMapping, SoftCompare, ThreeJs, engine_code
 from diffshadow.study.runs import _convert, _engine
-from diffshadow.study.runs._engine_fits import Lit
+from diffshadow.study.runs._engine import Lit
 from diffshadow.study.runs._measure import perceptual_error
 from diffshadow.study.runs._progress import Stages
 from diffshadow.study.runs._setup import Loaded, _traced, draw

@@ -14,7 +14,7 @@ from ..._words import counted
 from ...config import Config, build_technique, fit_paths, fit_units
 from .._drawn import Drawn
 from ..pages import _table as table
-from ..runs._engine_fits import bias_of_a_texel, lit_by
+from ..runs._engine import bias_of_a_texel, lit_by
 from ..runs._measure import combined, measured
 from ..runs._progress import Stages
 from ..runs._setup import load, visibility_of

@@ -39,7 +39,7 @@ class Part(BaseModel):
     later version or a user may have added them.
     """
 
-    model_config = ConfigDict(extra="ignore", strict=True, frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="ignore", strict=True, frozen=True, allow_inf_nan=False, from_attributes=True)
 
     @classmethod
     def of(cls, source: Any, **more: Any) -> Self:
@@ -57,7 +57,8 @@ def plain(value: Any) -> Any:
     """`value` in a form that JSON can hold: non-finite numbers become none, and lone surrogates are escaped."""
     if isinstance(value, Mapping):
         return {plain(str(key)): plain(inner) for key, inner in value.items()}
-    if isinstance(value, list | tuple):
+    # Of a tuple with names, a part is made by its attributes.
+    if isinstance(value, list | tuple) and not hasattr(value, "_fields"):
         return [plain(inner) for inner in value]
     if isinstance(value, str):
         # Python uses lone surrogates for bytes of paths that are not UTF-8.

@@ -4,7 +4,7 @@ A record is made when a run ends. It is written to `result.json`, printed, drawn
 and comparisons.
 """
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -217,6 +217,11 @@ class Profile(Part):
     best: At
     points: list[Annotated[list[Single | None], Field(min_length=2, max_length=2)]]
     intervals: list[Interval]
+
+    @classmethod
+    def of(cls, source: Any, **more: Any) -> Self:
+        value, error = source.best
+        return super().of(source, best=At(value=value, error=error), **more)
 
 
 class FrontPoint(Part):

@@ -5,7 +5,8 @@ from collections.abc import Iterator
 from ..._checks import text_within
 from ..._words import counted, plural
 from ...config import Config, is_limit
-from ...fit import FitResult, Outcome
+from ...fit import FitResult, FittedShape, Outcome
+from ...settings.scene import SpotLight
 from ..record._runs import BEST_ALREADY, UNEXPLAINED
 from ._course import (
     CUT_SHORT,
@@ -14,13 +15,14 @@ from ._course import (
     is_nearly_done,
     last_phase,
     late_fall,
+    losses_of,
     was_cut_short,
     what_is_fitted,
 )
-from ._pose import pose_remarks
 
 # An interval longer than this part of the distance between the bounds says that a value hardly matters.
 _FLAT = 0.5
+_IN_PICTURES = "since no pixel of the picture changes with it near its start: try another initial value"
 
 
 def remarks(config: Config | None, result: FitResult, kind: str = "fitted") -> list[str]:
@@ -84,7 +86,7 @@ def _unconverged(result: FitResult, more: str) -> Iterator[str]:
     last, number = found
     is_done = is_nearly_done(result, number)
     if not is_done:
-        fall = late_fall(result, number)
+        fall = late_fall(losses_of(result, number))
         still = f", while its error fell {_by(*fall)}" if fall and fall[0] > 0 and last.result == CUT_SHORT else ""
         mend = f": {more}" if last.result == CUT_SHORT else ""
         which = "the phase that gave the result" if result.chosen >= 0 else "its last phase, and no phase ended better"
@@ -93,7 +95,7 @@ def _unconverged(result: FitResult, more: str) -> Iterator[str]:
     for earlier, phase in enumerate(result.phases[: max(result.chosen, 0)]):
         if phase.result != CUT_SHORT:
             continue
-        fall = late_fall(result, earlier)
+        fall = late_fall(losses_of(result, earlier))
         before = f"an earlier phase ({_named(phase)}), where the result's phase began, ended at max_steps"
         # If a later phase has converged, an earlier one that was nearly done does not matter.
         if fall is not None and fall[0] > STILL_FALLING:
@@ -150,3 +152,65 @@ def _on_bounds(config: Config | None, result: FitResult) -> Iterator[str]:
                 "something that is not fitted differs from the picture; fit more of the scene as well, such as lights, "
                 "colours or reference.exposure"
             )
+
+
+def pose_remarks(config: Config | None, result: FitResult, *, is_known: bool = True) -> Iterator[str]:
+    """A sentence for each parameter that the image, or the picture, does not determine, with the cause.
+
+    **Arguments:**
+
+    - `is_known`: whether the fit converged and explains the image. If not, nothing is said of how well it determines
+        the values.
+    """
+    what = what_is_fitted(result)
+    for name in result.flat:
+        # A picture also shows what has no shadow.
+        cause = _IN_PICTURES if what == "picture" else _cause_of_pose(config, name)
+        yield f"{name} was not fitted: its gradient is zero throughout, {cause}"
+    for group in () if result.precision is None or not is_known else result.precision.undetermined:
+        if len(group) == 1:
+            yield f"the {what} hardly determines {group[0]}: other values of it fit as well"
+        else:
+            listed = f"{', '.join(group[:-1])} and {group[-1]}"
+            yield f"the {what} hardly determines {listed}: they can change together and fit as well"
+    if result.enlargements:
+        yield f"memory for silhouettes was enlarged {result.enlargements} times during the fit; each time recompiles"
+
+
+def _cause_of_pose(config: Config | None, name: str) -> str:
+    if config is None:
+        return "since no pixel changes with it: try another initial value, a filter with bilinear taps, or silhouettes"
+    section, *_, key = name.split(".")
+    if section != "scene":
+        if config.filter.looks_up_nearest:
+            return "since nearest look-ups have no gradient: choose a filter with bilinear ones"
+        return "since no pixel changes with it: try another initial value"
+    if key in ("azimuth", "elevation") and not _is_obeyed(config, name):
+        return "since the cone of a spot light without inner_angle is ignored: set inner_angle, or do not fit this"
+    if "meshes" in name:
+        mesh = config.scene.meshes[int(name.split(".")[2])]
+        if not mesh.casts:
+            return "since its mesh does not cast: set casts: true"
+    if not config.has_silhouettes:
+        return "since outlines have no gradient without silhouettes: remove shadow_map.silhouettes"
+    if config.filter.looks_up_nearest:
+        return "since nearest look-ups have no gradient at outlines: choose a filter with bilinear ones"
+    if "meshes" in name:
+        return "since no pixel sees its shadow: it is outside the light's frustum, or its shadow is outside the image"
+    return "since no pixel sees a shadow's outline: the light's frustum contains nothing that the camera sees"
+
+
+def _is_obeyed(config: Config, name: str) -> bool:
+    lights = {"scene." + ".".join(map(str, key)): light for key, light in config.scene.each_light.items()}
+    light = lights[name.rpartition(".")[0]]
+    return not isinstance(light, SpotLight) or light.inner_angle is not None
+
+
+def shape_remarks(result: FittedShape) -> Iterator[str]:
+    """A sentence if the error still fell at the end of the phase that gave the result."""
+    found = late_fall([loss for phase, loss in result.history if phase == result.chosen])
+    if found is not None and found[0] > STILL_FALLING:
+        yield (
+            f"the error still fell when phase {result.chosen + 1} ended, which gave the result, {_by(*found)}: raise "
+            f"its steps, fit.shape.phases.{result.chosen}.steps"
+        )

@@ -7,8 +7,8 @@ import numpy as np
 
 from ..._words import counted
 from ...config import Config
-from ...fit import FitResult
-from ..record._runs import BEST_ALREADY, UNEXPLAINED, Verdict
+from ...fit import FitResult, FittedShape
+from ..record._runs import BEST_ALREADY, UNEXPLAINED, ShapeMetrics, Verdict
 from ._course import was_cut_short, what_is_fitted
 
 # If this many parameters precede the last one, a sentence counts them instead of naming them.
@@ -203,3 +203,33 @@ def _listed(names: Sequence[str], what: str = "parameters") -> str:
     if len(most) >= _MANY:
         return f"{len(names)} {what}"
     return f"{', '.join(most)} and {last}" if most else last
+
+
+def shape_verdict(result: FittedShape, measured: ShapeMetrics) -> Verdict:
+    """The verdict of a fit of a shape.
+
+    **Arguments:** `measured`: how close it is.
+    """
+    overlap = f"{np.mean([light.rays for light in measured.lights]):.1%}"
+    if result.chosen < 0:
+        kind = BEST_ALREADY
+        text = (
+            f"no phase ended better than the start, which is the result: its shadows overlap their targets to {overlap}"
+        )
+    else:
+        kind, before = "fitted", np.mean([light.before for light in measured.lights])
+        steps = counted(len(result.history), "step")
+        text = f"the shadows overlap their targets to {overlap} by rays, from {before:.1%}, in {steps}"
+    if measured.unseen:
+        unseen = np.mean([light.rays for light in measured.unseen])
+        text += f", and to {unseen:.1%} under lights that the fit has not seen"
+    if measured.chamfer is not None and measured.size is not None:
+        text += f"; the shape is {measured.chamfer / measured.size:.2%} of its size from the truth on average"
+    pairs, remedies = measured.self_intersections, []
+    if pairs:
+        text += f"; the surface intersects itself in {counted(pairs, 'pair')} of faces"
+        remedies = [
+            "raise normal_consistency of the phases of fit.shape, to 0.001 for example, for a surface that crosses "
+            "itself less"
+        ]
+    return Verdict(kind=kind, sentence=text, remedies=remedies)

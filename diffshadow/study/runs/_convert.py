@@ -32,7 +32,7 @@ from ...shadow import (
     radius_settings,
 )
 from ..pages import _table as table
-from ._engine_fits import FACES, SIDES, Lit, babylon_js, lit_by, three_js
+from ._engine import FACES, SIDES, Lit, babylon_js, lit_by, three_js
 from ._fit import fit_technique
 from ._measure import combined, measured
 from ._progress import Stages

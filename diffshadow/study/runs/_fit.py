@@ -74,7 +74,7 @@ def fit_technique(config: Config, stages: Stages, on_step: Callable[[fit.Step], 
     result = _solved(problems[: views.seen], plan, stages, on_step)
     with stages.stage("measuring"):
         states = states_of(result, problems, drawn, stages)
-        return FittedRun.of(config, result, views, drawn, states, stages, name=config.name, truth=plan.truth)
+        return FittedRun(config.name, config, result, plan.truth, views, drawn, *states)
 
 
 def fit_picture(config: Config, stages: Stages) -> FittedPicture:

@@ -15,7 +15,7 @@ from ..._types import HostArray
 from ...config import CONFIG_FILE, Config, ConfigError, FitPlan, Mistake, build_shadow_mapping
 from ...settings.reference import Encoding, PictureReference
 from ...shading import AbstractShading, to_srgb
-from ..record._runs import Bounds, PictureErrors, PictureMetrics, PictureRecord, Verdict
+from ..record import _runs as records
 from ..record._stored import StoredRun
 from ..remarks._fit import remarks
 from ..remarks._verdict import Unexplained, verdict
@@ -129,8 +129,8 @@ class FittedPicture:
     mask: Bool[HostArray, "h w"]
     encoding: Encoding
     placed: geometry.Scene
-    metrics: PictureMetrics
-    verdict: Verdict
+    metrics: records.PictureMetrics
+    verdict: records.Verdict
     remarks: list[str]
 
     @classmethod
@@ -154,7 +154,9 @@ class FittedPicture:
         before, after = (
             _errors(pictures[state], pictures["reference"], mask, encoding) for state in ("before", "after")
         )
-        measured = PictureMetrics(before=before, after=after, pixels=int(mask.sum()), resolution=list(mask.shape))
+        measured = records.PictureMetrics(
+            before=before, after=after, pixels=int(mask.sum()), resolution=list(mask.shape)
+        )
         # One colour all over a picture of one colour has no error.
         constant = float(np.sqrt(np.mean(np.var(pictures["reference"][mask].astype(np.float64), axis=0))))
         left = Unexplained(after.rmse, constant) if after.rmse >= constant > 0 else None
@@ -163,21 +165,19 @@ class FittedPicture:
         placed = arrangement.placed(problem.scene)
         return cls(name, config, result, truth, pictures, mask, encoding, placed, measured, said, sentences)
 
-    def record(self, **about: Any) -> PictureRecord:
+    def record(self, **about: Any) -> records.PictureRecord:
         """Its record."""
         result, camera = self.result, self.placed.camera
-        return PictureRecord(
+        return records.PictureRecord.of(
+            result,
             verdict=self.verdict,
             name=self.name,
             encoding=self.encoding,
-            initial=result.initial,
-            fitted=result.fitted,
-            bounds={p.name: Bounds.of(p) for p in result.parameters},
+            bounds={p.name: records.Bounds.of(p) for p in result.parameters},
             truth=dict(self.truth),
             deviations={} if result.precision is None else dict(result.precision.deviations),
             camera={key: np.asarray(getattr(camera, key)).tolist() for key in ("eye", "target", "up")},
             metrics=self.metrics,
-            steps=result.steps,
             warnings=self.remarks,
             **about,
         )
@@ -204,7 +204,7 @@ class FittedPicture:
         io.write_gltf(draft / SCENE, self.placed, extras=self.result.fitted)
 
 
-def _errors(image: Picture, truth: Picture, mask: Bool[HostArray, "h w"], encoding: Encoding) -> PictureErrors:
+def _errors(image: Picture, truth: Picture, mask: Bool[HostArray, "h w"], encoding: Encoding) -> records.PictureErrors:
     """The errors of a picture."""
     difference = (image - truth)[mask]
     try:
@@ -212,7 +212,7 @@ def _errors(image: Picture, truth: Picture, mask: Bool[HostArray, "h w"], encodi
     except ImportError:
         flip = None
     rmse = float(np.sqrt(np.mean(difference**2)))
-    return PictureErrors(rmse=rmse, mae=float(np.abs(difference).mean()), flip=flip)
+    return records.PictureErrors(rmse=rmse, mae=float(np.abs(difference).mean()), flip=flip)
 
 
 def _with_spare_depth(config: Config, scene: geometry.Scene) -> geometry.Scene:

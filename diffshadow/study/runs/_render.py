@@ -13,8 +13,8 @@ from ..._types import HostArray
 from ...config import CONFIG_FILE, Config, build_technique
 from .._drawn import Drawn
 from ..pages._console import print_run
+from ..record import _runs as records
 from ..record._folder import folder_of
-from ..record._runs import Errors, LightErrors, RenderedLight, RenderMetrics, RenderRecord
 from ..record._stored import StoredRun
 from ..remarks._layout import layout_remarks
 from ..remarks._reference import reference_remarks
@@ -59,13 +59,13 @@ class Rendered:
         images = {"reference": [each.reference.visibility for each in self.drawn], "visibility": self.visibility}
         return {f"shaded_{name}": shaded(self.config, self.drawn, image) for name, image in images.items()}
 
-    def record(self, **about: Any) -> RenderRecord:
+    def record(self, **about: Any) -> records.RenderRecord:
         """Its record."""
         config, drawn = self.config, self.drawn
         lights = [
-            RenderedLight(
+            records.RenderedLight(
                 light=each.key,
-                errors=LightErrors(**errors),
+                errors=records.LightErrors(**errors),
                 aliasing=aliasing(self.technique, each),
                 reference_noise_floor=each.noise_floor,
                 pixels=each.pixels,
@@ -78,12 +78,12 @@ class Rendered:
             *layout_remarks(self.technique, [each.key for each in drawn], [each.state for each in drawn]),
             *reference_remarks(config, drawn),
         ]
-        return RenderRecord(
+        return records.RenderRecord(
             name=config.name,
-            metrics=RenderMetrics(
+            metrics=records.RenderMetrics(
                 technique=config.technique.type,
                 compare=config.compare.type,
-                errors=Errors(
+                errors=records.Errors(
                     **combined(self.errors, drawn), flip=perceptual_error(self.pictures, "visibility", drawn)
                 ),
                 reference_noise_floor=noise(drawn),

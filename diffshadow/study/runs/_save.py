@@ -82,11 +82,10 @@ def _measured(name: str, result: fit.FitResult, keys: Sequence[str], stages: Sta
     states = states_of(result, result.problems, drawn, stages)
     if result.arrangement is not None:
         # Where lights and meshes truly are is not known, so the reference is shown where the fit leaves them.
-        drawn = states[1][1]
+        drawn = states[1].drawn
     # Which problems are lights of one image is not known: each is shown alone.
     views = Views([DrawnView(each.key, None, None, [each]) for each in drawn], [])
-    has_scene = all(each.scene is not None for each in drawn)
-    return FittedRun.of(None, result, views, drawn, states, stages, name=name, truth={}, has_pictures=has_scene)
+    return FittedRun(name, None, result, {}, views, drawn, *states)
 
 
 def _drawn(problem: Any, key: str, result: fit.FitResult) -> Drawn:
@@ -106,5 +105,5 @@ def _drawn(problem: Any, key: str, result: fit.FitResult) -> Drawn:
         samples=0,
         standard_error=np.zeros_like(visibility),
     )
-    # A technique's problem may lack the scene. Only pictures need it, and `has_pictures` says so.
+    # A technique's problem may lack the scene. Only pictures need it.
     return Drawn(key, cast(Any, problem.scene), state, surface, truth, mask)

@@ -24,7 +24,7 @@ from ...config import (
 )
 from ...settings.reference import ImageReference, PictureReference, TracedReference
 from .._drawn import Drawn
-from ..remarks._framing import dark_scene
+from ..remarks._scene import dark_scene
 from ..remarks._sight import blind_camera, blind_light
 from ._progress import Stages
 

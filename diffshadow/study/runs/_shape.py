@@ -12,10 +12,11 @@ from jaxtyping import Float
 from ... import fit, geometry, io, metrics
 from ..._types import HostArray
 from ...config import CONFIG_FILE, Config, ConfigError, Mistake, Screen, ShapePlan, build_shape
+from ..record import _runs as records
 from ..record._folder import folder_of
-from ..record._runs import MovedLight, Overlap, ShapeMetrics, ShapePhase, ShapeRecord, UnseenOverlap, Verdict
 from ..record._stored import StoredRun
-from ..remarks._shape import shape_remarks, shape_verdict
+from ..remarks._fit import shape_remarks
+from ..remarks._verdict import shape_verdict
 from ._checkpoint import Checkpoint
 from ._progress import Stages
 from ._setup import trace
@@ -43,20 +44,20 @@ class FittedShapeRun:
     targets: list[Image]
     rays: list[Image]
     steps: list[tuple[HostArray, HostArray]]
-    metrics: ShapeMetrics
-    verdict: Verdict
+    metrics: records.ShapeMetrics
+    verdict: records.Verdict
 
-    def record(self, **about: Any) -> ShapeRecord:
+    def record(self, **about: Any) -> records.ShapeRecord:
         """Its record."""
         result = self.result
         steps = [sum(phase == k for phase, _ in result.history) for k in range(len(self.plan.phases))]
-        return ShapeRecord(
+        return records.ShapeRecord(
             verdict=self.verdict,
             name=self.config.name,
             metrics=self.metrics,
             vertices=len(result.mesh.vertices),
             chosen_phase=result.chosen,
-            phases=[ShapePhase(steps=n, loss=loss) for n, loss in zip(steps, result.losses, strict=True)],
+            phases=[records.ShapePhase(steps=n, loss=loss) for n, loss in zip(steps, result.losses, strict=True)],
             warnings=[*self.plan.remarks, *shape_remarks(result)],
             **about,
         )
@@ -168,7 +169,7 @@ def _measured(
     targets: list[Image],
     rays: list[Image],
     unseen: list[tuple[Image, Image]],
-) -> ShapeMetrics:
+) -> records.ShapeMetrics:
     """How close the shadows and the shape are. `unseen`: shadows of the result and of the truth, under lights that the
     fit did not see."""
     overlap, triangles = (
@@ -183,17 +184,20 @@ def _measured(
         truth = (np.asarray(plan.truth.vertices), np.asarray(plan.truth.faces))
         chamfer = metrics.chamfer_distance(triangles, truth)
         size = float(np.ptp(np.asarray(plan.truth.bounds), axis=0).max())
-    return ShapeMetrics(
+    return records.ShapeMetrics(
         initial_loss=result.initial_loss,
         loss=result.loss,
         lights=[
-            Overlap(light=screen.key, before=overlap(b, t), map=overlap(m, t), rays=overlap(r, t))
+            records.Overlap(light=screen.key, before=overlap(b, t), map=overlap(m, t), rays=overlap(r, t))
             for screen, t, b, m, r in images
         ],
         # None without images of unseen lights.
-        unseen=[UnseenOverlap(light=s.key, rays=overlap(*both)) for s, both in zip(plan.unseen, unseen, strict=False)],
+        unseen=[
+            records.UnseenOverlap(light=s.key, rays=overlap(*both))
+            for s, both in zip(plan.unseen, unseen, strict=False)
+        ],
         moved=[
-            MovedLight(
+            records.MovedLight(
                 light=screen.key,
                 before=_degrees_between(screen.light, start, middle),
                 after=_degrees_between(screen.light, end, middle),

@@ -5,7 +5,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float32
@@ -16,26 +16,7 @@ from ...config import Config, FitPlan, build_shadow_mapping
 from ...geometry import Scene
 from .._drawn import Drawn
 from ..pages._console import CODE
-from ..record._runs import (
-    At,
-    BeforeAndAfter,
-    Bounds,
-    Course,
-    End,
-    Errors,
-    FitMetrics,
-    FitRecord,
-    FittedLight,
-    FrontPoint,
-    Interval,
-    LightErrors,
-    Phase,
-    Poses,
-    Precision,
-    Profile,
-    Start,
-    Verdict,
-)
+from ..record import _runs as records
 from ..record._stored import StoredRun
 from ..remarks._fit import remarks
 from ..remarks._layout import layout_remarks
@@ -49,9 +30,6 @@ from ._setup import Loaded, draw, visibility_of
 from ._views import DrawnView, Views
 from ._write import configs_of_fit
 
-Images = list[Float32[HostArray, "h w"]]
-States = tuple[tuple[Images, list[Drawn]], tuple[Images, list[Drawn]]]
-"""The images before and after a fit, and the scenes that they show."""
 # Of views, the worst have pictures.
 _MAX_SHOWN = 8
 # ꟻLIP takes far longer than all other errors of a view. Of more views, it is of so many, evenly spaced among them.
@@ -93,15 +71,25 @@ def with_references_of(problems: Sequence[fit.PoseProblem], drawn: Sequence[Draw
     ]
 
 
+class State(NamedTuple):
+    """The images of visibility before or after a fit, one for each view and light.
+
+    - `drawn`: the scenes that they show, in which lights and meshes may have moved.
+    - `errors`: under the hard compare, by name.
+    """
+
+    images: list[Float32[HostArray, "h w"]]
+    drawn: list[Drawn]
+    errors: list[dict[str, float]]
+
+
 @dataclasses.dataclass(frozen=True)
 class FittedRun:
-    """A finished fit, with its images and their errors under the hard compare, one for each view and light.
+    """A finished fit, with its images before and after.
 
     - `name`: of the run; `config`: none of a fit that was made in Python.
     - `truth`: of fitted poses, by name, as far as it is known.
-    - `views`: all that the fit sees, and its validation.
-    - `drawn`: the true scenes; `seen`: those before and after the fit, which may move lights and meshes.
-    - `has_pictures`: whether the scene is known, so that it can be shaded.
+    - `views`: all that the fit sees, and its validation; `drawn`: their true scenes.
     """
 
     name: str
@@ -110,58 +98,31 @@ class FittedRun:
     truth: Mapping[str, float]
     views: Views
     drawn: list[Drawn]
-    seen: tuple[list[Drawn], list[Drawn]]
-    before: Images
-    after: Images
-    errors_before: list[dict[str, float]]
-    errors_after: list[dict[str, float]]
-    verdict: Verdict
-    remarks: list[str]
-    has_pictures: bool = True
+    before: State
+    after: State
 
-    @classmethod
-    def of(
-        cls,
-        config: Config | None,
-        result: fit.FitResult,
-        views: Views,
-        drawn: list[Drawn],
-        states: States,
-        stages: Stages,
-        **more: Any,
-    ) -> Self:
-        """Measures the images of a fit, and says what it comes to. `states`: as of `states_of`."""
-        (before, seen_before), (after, seen_after) = states
-        pairs = lambda images: stages.counted("errors of image", list(zip(images, drawn, strict=True)))
-        errors_before, errors_after = ([measured(*pair) for pair in pairs(each)] for each in (before, after))
-        left = unexplained(fitted_images(views, drawn, after, seen_after, result))
-        of_seen = lambda errors: combined(errors[: views.seen], drawn[: views.seen])["rmse"]
-        said = verdict(config, result, of_seen(errors_before), of_seen(errors_after), left)
-        sentences = [
-            *views.remarks,
+    @cached_property
+    def verdict(self) -> records.Verdict:
+        """What the fit comes to."""
+        left = unexplained(fitted_images(self.views, self.drawn, self.after.images, self.after.drawn, self.result))
+        before, after = (errors["rmse"] for errors in self.errors.values())
+        return verdict(self.config, self.result, before, after, left)
+
+    @cached_property
+    def remarks(self) -> list[str]:
+        """What to know besides."""
+        config, result, drawn = self.config, self.result, self.drawn
+        return [
+            *self.views.remarks,
             *layout_remarks(result.technique, [each.key for each in drawn], [each.state for each in drawn]),
-            *(reference_remarks(config, drawn) if config is not None and len(views.all) == 1 else []),
-            *remarks(config, result, said.kind),
+            *(reference_remarks(config, drawn) if config is not None and len(self.views.all) == 1 else []),
+            *remarks(config, result, self.verdict.kind),
         ]
-        return cls(
-            config=config,
-            result=result,
-            views=views,
-            drawn=drawn,
-            seen=(seen_before, seen_after),
-            before=before,
-            after=after,
-            errors_before=errors_before,
-            errors_after=errors_after,
-            verdict=said,
-            remarks=sentences,
-            **more,
-        )
 
     @property
     def mapped(self) -> list[Drawn]:
         """The scene with the stored maps: of the fitted technique, or of the true lights and meshes."""
-        return self.seen[1] if self.result.arrangement is None else self.drawn
+        return self.after.drawn if self.result.arrangement is None else self.drawn
 
     @property
     def has_views(self) -> bool:
@@ -182,7 +143,7 @@ class FittedRun:
         """The indices of the scenes and lights whose pictures are written: all, or only the worst views'."""
         if not self.has_views:
             return list(range(len(self.drawn)))
-        errors = np.nan_to_num([errors["rmse"] for errors in self.errors_after])
+        errors = np.nan_to_num([errors["rmse"] for errors in self.after.errors])
         return np.argsort(-errors, kind="stable")[:_MAX_SHOWN].tolist()
 
     @property
@@ -196,7 +157,7 @@ class FittedRun:
         return self._errors(slice(self.views.seen, None)) if self.views.validation else {}
 
     def _errors(self, part: slice) -> dict[str, dict[str, float]]:
-        states = {"before": self.errors_before, "after": self.errors_after}
+        states = {"before": self.before.errors, "after": self.after.errors}
         return {state: combined(errors[part], self.drawn[part]) for state, errors in states.items()}
 
     @cached_property
@@ -204,52 +165,55 @@ class FittedRun:
         """The shaded pictures of views by the names of their arrays: of the worst, and of those whose ꟻLIP is measured.
         Of the others there is none, nor where the scene is not known."""
         views = self.views
-        if not self.has_pictures:
+        if any(each.scene is None for each in self.drawn):
             return [{} for _ in views.all]
         chosen = {views.of(self.shown[0]), *spaced(0, len(views.fitted)), *spaced(len(views.fitted), len(views.all))}
-        (before, after), truth = self.seen, [each.reference.visibility for each in self.drawn]
-        states = [("reference", self.drawn, truth), ("before", before, self.before), ("after", after, self.after)]
+        truth = State([each.reference.visibility for each in self.drawn], self.drawn, [])
+        states = {"reference": truth, "before": self.before, "after": self.after}
         return [
-            {f"shaded_{name}": shaded(view.config, seen[part], images[part]) for name, seen, images in states}
+            {
+                f"shaded_{name}": shaded(view.config, state.drawn[part], state.images[part])
+                for name, state in states.items()
+            }
             if i in chosen
             else {}
             for i, (view, part) in enumerate(views.parts)
         ]
 
-    def record(self, **about: Any) -> FitRecord:
+    def record(self, **about: Any) -> records.FitRecord:
         """Its record."""
         result, views, validation = self.result, self.views, self.validation
         named = lambda values: dict(zip(result.fitted, values, strict=True))
         seen = _with_flip(self.errors, views.fitted, self.pictures[: len(views.fitted)])
         unseen = _with_flip(validation, views.validation, self.pictures[len(views.fitted) :]) if validation else None
         lights = [
-            FittedLight(
+            records.FittedLight(
                 light=each.key,
-                before=LightErrors(**before),
-                after=LightErrors(**after),
+                before=records.LightErrors(**before),
+                after=records.LightErrors(**after),
                 validation=i >= views.seen if views.validation else None,
             )
             for i, (each, before, after) in enumerate(
-                zip(self.drawn, self.errors_before, self.errors_after, strict=True)
+                zip(self.drawn, self.before.errors, self.after.errors, strict=True)
             )
         ]
         own = result.is_own_loss and result.arrangement is None
         poses = None
         if result.arrangement is not None:
-            poses = Poses(
+            poses = records.Poses.of(
+                result,
                 truth=dict(self.truth),
                 error={name: result.fitted[name] - truth for name, truth in self.truth.items()},
-                precision=None if result.precision is None else Precision.of(result.precision),
-                starts=[Start.of(each, initial=named(each.initial), end=named(each.end)) for each in result.starts],
-                enlargements=result.enlargements,
+                starts=[
+                    records.Start.of(each, initial=named(each.initial), end=named(each.end)) for each in result.starts
+                ],
             )
-        return FitRecord(
+        return records.FitRecord.of(
+            result,
             verdict=self.verdict,
             name=self.name,
-            initial=result.initial,
-            fitted=result.fitted,
-            bounds={p.name: Bounds.of(p) for p in result.parameters},
-            metrics=FitMetrics(
+            bounds={p.name: records.Bounds.of(p) for p in result.parameters},
+            metrics=records.FitMetrics(
                 compare="hard",
                 before=seen.before,
                 after=seen.after,
@@ -260,19 +224,15 @@ class FittedRun:
                 shown=self.shown if self.has_views else None,
                 resolution=list(self.drawn[0].mask.shape) if self.config is None else None,
             ),
-            solver=Course(
+            solver=records.Course.of(
+                result,
                 name=result.solver.title,
-                steps=result.steps,
                 chosen_phase=result.chosen,
-                flat=result.flat,
-                is_own_loss=result.is_own_loss,
                 initial_loss=result.errors[0] ** 2 if own else None,
-                seconds_compiling=result.seconds_compiling,
-                seconds_running=result.seconds_running,
-                phases=[Phase.of(phase, values=named(phase.values)) for phase in result.phases],
+                phases=[records.Phase.of(phase, values=named(phase.values)) for phase in result.phases],
             ),
-            profiles={each.name: _profile(each) for each in result.profiles},
-            front=[FrontPoint.of(point, values=named(point.values)) for point in result.front],
+            profiles={each.name: records.Profile.of(each) for each in result.profiles},
+            front=[records.FrontPoint.of(point, values=named(point.values)) for point in result.front],
             code=self.code,
             poses=poses,
             warnings=self.remarks,
@@ -284,8 +244,8 @@ class FittedRun:
         history = self.result.history
         return {
             "reference": stacked([each.reference.visibility for each in self.drawn]),
-            "before": stacked(self.before),
-            "after": stacked(self.after),
+            "before": stacked(self.before.images),
+            "after": stacked(self.after.images),
             "mask": stacked([each.mask for each in self.drawn]),
             **({} if self.has_views else light_arrays(self.mapped)),
             "history_start": np.asarray([step.start for step in history], np.int32),
@@ -326,7 +286,7 @@ def spaced(start: int, end: int) -> list[int]:
 
 def _with_flip(
     errors: Mapping[str, Mapping[str, float]], views: Sequence[DrawnView], pictures: Sequence[Pictures]
-) -> BeforeAndAfter:
+) -> records.BeforeAndAfter:
     """The errors of `views` before and after, with the mean of ꟻLIP over spaced ones; none without its package."""
 
     def flip(state: str) -> float | None:
@@ -335,45 +295,37 @@ def _with_flip(
         known = [error for error in found if error is not None]
         return float(np.mean(known)) if known else None
 
-    before, after = (Errors(**errors[state], flip=flip(state)) for state in ("before", "after"))
-    return BeforeAndAfter(before=before, after=after)
+    before, after = (records.Errors(**errors[state], flip=flip(state)) for state in ("before", "after"))
+    return records.BeforeAndAfter(before=before, after=after)
 
 
-def _profile(profile: fit.Profile) -> Profile:
-    """The error along a parameter."""
-    value, error = profile.best
-    return Profile(
-        best=At(value=value, error=error),
-        points=[list(point) for point in profile.points],
-        intervals=[
-            Interval(within=each.within, lower=End.of(each.lower), upper=End.of(each.upper))
-            for each in profile.intervals
-        ],
-    )
-
-
-def states_of(result: fit.FitResult, problems: Sequence[Any], drawn: list[Drawn], stages: Stages) -> States:
-    """The images before and after a fit under the hard compare, and the scenes that they show.
+def states_of(
+    result: fit.FitResult, problems: Sequence[Any], drawn: list[Drawn], stages: Stages
+) -> tuple[State, State]:
+    """The images before and after a fit under the hard compare.
 
     **Arguments:**
 
     - `problems`: of `drawn`: those that the fit has seen, and more for its validation.
     """
-    start = list(result.initial.values())
-    if result.arrangement is not None:
-        first = fit.with_parameters(result.arrangement, result.parameters, start)
-        return _arranged(result.problems, drawn, first), _arranged(result.problems, drawn, result.arrangement)
-    laid_out = [*result.problems, *problems[len(result.problems) :]]
-    states = []
-    techniques = {"before": fit.with_parameters(result.technique, result.parameters, start), "after": result.technique}
-    for when, technique in techniques.items():
-        seen = _laid_out(technique, laid_out, drawn)
-        counted = stages.counted(f"image {when} the fit", seen)
-        states.append(([visibility_of(technique, each) for each in counted], seen))
+    laid_out, states = [*result.problems, *problems[len(result.problems) :]], []
+    end: Any = result.technique if result.arrangement is None else result.arrangement
+    start = fit.with_parameters(end, result.parameters, list(result.initial.values()))
+    for when, subject in {"before": start, "after": end}.items():
+        if result.arrangement is not None:
+            images, seen = _arranged(result.problems, drawn, subject)
+        else:
+            seen = _laid_out(subject, laid_out, drawn)
+            counted = stages.counted(f"image {when} the fit", seen)
+            images = [visibility_of(subject, each) for each in counted]
+        pairs = stages.counted("errors of image", list(zip(images, drawn, strict=True)))
+        states.append(State(images, seen, [measured(*pair) for pair in pairs]))
     return states[0], states[1]
 
 
-def _arranged(problems: Sequence[Any], drawn: Sequence[Drawn], arrangement: fit.Arrangement) -> Any:
+def _arranged(
+    problems: Sequence[Any], drawn: Sequence[Drawn], arrangement: fit.Arrangement
+) -> tuple[list[Float32[HostArray, "h w"]], list[Drawn]]:
     """The image of an arrangement that is compared with each reference, and the scene as light and camera see it."""
     images, seen = [], []
     for problem, each in zip(problems, drawn, strict=True):
