@@ -365,7 +365,8 @@ def test_flip_counts_what_any_light_counts_and_is_none_without_its_package(monke
     picture, masks = truth.copy(), np.zeros((2, 8, 12), bool)
     picture[:, :6] = 20
     masks[0, :, :6] = masks[1, :, 6:] = True
-    error = lambda lights: perceptual_error(picture, truth, [types.SimpleNamespace(mask=mask) for mask in lights])
+    pictures = {"shaded_after": picture, "shaded_reference": truth}
+    error = lambda lights: perceptual_error(pictures, "after", [types.SimpleNamespace(mask=mask) for mask in lights])
     monkeypatch.setitem(sys.modules, "flip_evaluator", None)
     assert error(masks) is None
     monkeypatch.undo()

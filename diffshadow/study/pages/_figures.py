@@ -16,7 +16,7 @@ from ... import shadow
 from ..._checks import text_within
 from ..._types import HostArray, Scalar
 from .. import style
-from ..record._runs import Course, FitRecord, PictureRecord, ShapeRecord
+from ..record._runs import Course, FitRecord, PictureRecord, RenderRecord, ShapeRecord
 from ..record._stored import LightImages, StoredRun, VisibilityRun, is_fit
 
 Image = Float[HostArray, "h w"]
@@ -48,13 +48,10 @@ def write_figures(run: StoredRun[Any], folder: Path, form: str = "png", dpi: int
 
 
 def _figures(run: StoredRun[Any]) -> Iterator[tuple[str, Figure]]:
-    if isinstance(run.record, ShapeRecord):
-        yield "loss", shape_loss(run)
+    if not isinstance(run.record, RenderRecord):
+        yield "loss", loss(run)
+    if not isinstance(run, VisibilityRun):
         return
-    if isinstance(run.record, PictureRecord):
-        yield "loss", picture_loss(run)
-        return
-    assert isinstance(run, VisibilityRun)
     for i, light in enumerate(run.shown):
         if is_fit(run):
             # Only the first of several views has a shaded picture.
@@ -68,12 +65,11 @@ def _figures(run: StoredRun[Any]) -> Iterator[tuple[str, Figure]]:
     if run.shaded:
         yield "shaded", shaded(run.shaded)
     if is_fit(run):
-        yield "loss", loss(run)
         yield "parameters", parameters(run)
         if run.record.front:
-            yield "front", front(run.record)
+            yield "front", front(run)
         if run.record.profiles:
-            yield "profiles", profiles(run.record)
+            yield "profiles", profiles(run)
 
 
 def comparison(light: LightImages, result: Sequence[tuple[str, HostArray]]) -> Figure:
@@ -233,8 +229,14 @@ def write_map(
     style.save(figure, path)
 
 
-def loss(run: Fit) -> Figure:
-    """The error over a fit: the solver's loss at each evaluation, and the hard compare's error between phases."""
+def loss(run: StoredRun[Any]) -> Figure:
+    """The error over a fit."""
+    draw = {"fit": _loss, "picture": _picture_loss, "shape": _shape_loss}[run.record.kind]
+    return draw(run)
+
+
+def _loss(run: Fit) -> Figure:
+    """The solver's loss at each evaluation, and the hard compare's error between phases."""
     figure, (axes,) = style.figure(5.2, 3.1)
     style.chart(axes, "evaluations of the loss", error_label([run]))
     recorded = history(run)
@@ -327,8 +329,9 @@ def parameters(run: Fit) -> Figure:
     return figure
 
 
-def profiles(record: FitRecord) -> Figure:
+def profiles(run: Fit) -> Figure:
     """The error along each parameter over the best, with its intervals and the result."""
+    record = run.record
     found, fractions = list(record.profiles.items())[:_MAX_PARAMETERS], record.widths
     columns = min(len(found), 3)
     rows = -(-len(found) // columns)
@@ -352,13 +355,13 @@ def profiles(record: FitRecord) -> Figure:
     return figure
 
 
-def front(record: FitRecord) -> Figure:
+def front(run: Fit) -> Figure:
     """The front of false shadow against false light."""
     figure, (axes,) = style.figure(4.6, 3.4)
     style.chart(axes, "false shadow, RMS [visibility]", "false light, RMS [visibility]")
-    along = np.asarray([(point.false_shadow, point.false_light) for point in record.front])
+    along = np.asarray([(point.false_shadow, point.false_light) for point in run.record.front])
     axes.plot(*along.T, color=style.BLUE, marker="o", markersize=4, linewidth=1.3, label="front")
-    for (x, y), point in zip(along, record.front, strict=True):
+    for (x, y), point in zip(along, run.record.front, strict=True):
         if point.is_knee:
             axes.plot(x, y, color=style.VERMILION, marker="D", markersize=6, linestyle="none", label="knee")
     style.legend(axes)
@@ -377,7 +380,7 @@ def _show_bounds(axes: Axes, values: Sequence[float], lower: float, upper: float
     axes.yaxis.set_major_locator(MaxNLocator(4))
 
 
-def picture_loss(run: StoredRun[PictureRecord]) -> Figure:
+def _picture_loss(run: StoredRun[PictureRecord]) -> Figure:
     """The error of a fit to a picture at each evaluation, one colour a phase."""
     figure, (axes,) = style.figure(6.4, 3.1)
     style.chart(axes, "evaluation", "RMSE under the blur")
@@ -390,7 +393,7 @@ def picture_loss(run: StoredRun[PictureRecord]) -> Figure:
     return figure
 
 
-def shape_loss(run: StoredRun[ShapeRecord]) -> Figure:
+def _shape_loss(run: StoredRun[ShapeRecord]) -> Figure:
     """The loss of a fit of a shape at each step, and the judge's at the ends of phases."""
     figure, (axes,) = style.figure(6.4, 3.1)
     style.chart(axes, "step", "RMSE [visibility]")

@@ -18,9 +18,9 @@ from .. import style
 from ..record._files import add_files
 from ..record._runs import (
     FitRecord,
+    FittedLight,
     FolderRecord,
     Overlap,
-    Phase,
     PictureRecord,
     Profile,
     RenderRecord,
@@ -101,11 +101,9 @@ class View[Of: FolderRecord]:
         """What to do next."""
         return after_run(self.run.folder, self.record)
 
-    @property
-    def curve(self) -> str:
-        """The loss over a fit to a picture or of a shape."""
-        draw: Any = figures.shape_loss if isinstance(self.record, ShapeRecord) else figures.picture_loss
-        return style.inline_svg(draw(self.run), "loss")
+    def chart(self, name: str) -> str:
+        """The figure that `figures` draws by this name."""
+        return style.inline_svg(getattr(figures, name)(self.run), name)
 
 
 class FittedNumber(NamedTuple):
@@ -178,7 +176,7 @@ class LightPictures(NamedTuple):
     differences: list[Picture]
 
 
-class VisibilityView(View[FitRecord | RenderRecord]):
+class VisibilityView[Of: FitRecord | RenderRecord](View[Of]):
     """Of a fit to images of visibility, or a render."""
 
     template = "report.html.j2"
@@ -187,19 +185,7 @@ class VisibilityView(View[FitRecord | RenderRecord]):
 
     def __init__(self, run: StoredRun[Any]):
         super().__init__(run)
-        self.fit = self.record if isinstance(self.record, FitRecord) else None
         self.limit, self.extend = figures.difference_limit(self.run.shown)
-
-    @property
-    def without_verdict(self) -> list[str]:
-        before, after = self.run.errors[0][1].rmse, self.run.errors[-1][1].rmse
-        if self.fit is not None:
-            return [f"The fit changed the shadow's error from {before:.4f} to {after:.4f} RMSE."]
-        technique, kernel = self.settings["technique.type"], self.settings["filter.type"]
-        name = f"{technique} with filter {kernel}" if technique in _FILTERED else technique
-        # The names of engines are written as they are.
-        name = name if "." in technique else name.replace("_", " ").capitalize()
-        return [f"{name}: the shadow's error is {after:.4f} RMSE."]
 
     @property
     def settings(self) -> dict[str, str]:
@@ -209,16 +195,6 @@ class VisibilityView(View[FitRecord | RenderRecord]):
     @property
     def commands(self) -> list[Command]:
         return after_run(self.run.folder, self.record, self.settings.get("technique.type"))
-
-    @property
-    def states(self) -> list[str]:
-        """The heads of the columns of errors."""
-        return ["error"] if self.fit is None else [title for title, _ in self.run.errors]
-
-    @cached_property
-    def fitted(self) -> list[FittedNumber]:
-        """Each parameter; none of a render."""
-        return [] if self.fit is None else list(_fitted(self.fit, (4, 5 if self.fit.truth else 4), ".1g"))
 
     @property
     def errors(self) -> list[ErrorRow]:
@@ -233,48 +209,16 @@ class VisibilityView(View[FitRecord | RenderRecord]):
         """The reference's own error, in words."""
         return noise_text(self.record.metrics.reference_noise_floor)
 
-    @property
-    def is_perceived(self) -> bool:
-        """Whether FLIP was measured."""
-        return self.run.errors[-1][1].flip is not None
-
-    @property
-    def validation(self) -> list[ErrorRow]:
-        """Each error before and after the fit over the views that it has not seen."""
-        found = None if self.fit is None else self.fit.metrics.validation
-        if found is None:
-            return []
-        rows = zip(ERRORS.items(), cells(found.before), cells(found.after), strict=True)
-        return [ErrorRow(label, [before, after], "", UNITS[name]) for (name, label), before, after in rows]
-
     @cached_property
     def by_light(self) -> list[LightRow]:
         """The errors of each light or view; of views, the worst first."""
-        unseen = [bool(getattr(light, "validation", False)) for light in self.record.metrics.lights]
-        rows = [
-            LightRow(
-                each.key,
-                number("rmse", each.errors[0].rmse),
-                cells(each.errors[-1], LIGHT_ERRORS),
-                unseen[i],
-                each.errors[-1].rmse or 0.0,
-            )
-            for i, each in enumerate(self.run.lights)
-        ]
-        return sorted(rows, key=lambda row: -row.rmse) if self.run.is_of_views else rows
-
-    @property
-    def aliasing(self) -> list[tuple[str, str, list[str]]]:
-        """Figures of how large texels are on the screen, for each light that has any: its key, their name and texts."""
         rows = []
-        for light in self.record.metrics.lights if self.fit is None else ():
-            found = getattr(light, "aliasing", None)
-            if found is not None:
-                parts = {"longest extent": found.extent, "due to perspective": found.perspective}
-                for name, each in parts.items():
-                    extents = (each.worst, each.percentile_99, 2**each.mean_log2)
-                    rows.append((light.light, name, [*(f"{x:.3g}" for x in extents), f"{each.undersampled:.1%}"]))
-        return rows
+        for each, light in zip(self.run.lights, self.record.metrics.lights, strict=True):
+            first, last = each.errors[0], each.errors[-1]
+            unseen = isinstance(light, FittedLight) and bool(light.validation)
+            numbers = cells(last, LIGHT_ERRORS)
+            rows.append(LightRow(each.key, number("rmse", first.rmse), numbers, unseen, last.rmse or 0.0))
+        return sorted(rows, key=lambda row: -row.rmse) if self.run.is_of_views else rows
 
     @cached_property
     def lights(self) -> list[LightPictures]:
@@ -288,9 +232,8 @@ class VisibilityView(View[FitRecord | RenderRecord]):
         visibility = [picture(f"Reference{end}", counted(light.reference), title="Reference")]
         differences = []
         for (title, image), errors in zip(light.images, light.errors, strict=True):
-            visibility.append(
-                picture(f"{title}{end}", counted(image), f"RMSE {number('rmse', errors.rmse)}", title=title)
-            )
+            note = f"RMSE {number('rmse', errors.rmse)}"
+            visibility.append(picture(f"{title}{end}", counted(image), note, title=title))
             name, off = f"{title} − reference", counted(image - light.reference)
             how: Any = {"title": name, "colours": style.DIFFERENCE, "limit": self.limit}
             differences.append(picture(f"{name}{end}", off, **how))
@@ -312,106 +255,6 @@ class VisibilityView(View[FitRecord | RenderRecord]):
         return [p.name for p in (self.shaded or self.lights[0].visibility)[-2:]]
 
     @property
-    def widths(self) -> list[str]:
-        """The heads of the columns of intervals."""
-        return [] if self.fit is None else list(map(within_text, self.fit.widths))
-
-    @property
-    def profiles(self) -> str:
-        """The error along each parameter."""
-        found = self.fit is not None and self.fit.profiles
-        return style.inline_svg(figures.profiles(self.fit), "profiles") if self.fit and found else ""
-
-    @property
-    def front(self) -> list[tuple[list[str], bool]]:
-        """The settings of the front of false shadow against false light: errors and values, and whether it is the
-        knee."""
-        return [
-            (
-                [
-                    *(number("rmse", error) for error in (point.false_shadow, point.false_light, point.rmse)),
-                    *(f"{value:.4g}" for value in point.values.values()),
-                ],
-                point.is_knee,
-            )
-            for point in (() if self.fit is None else self.fit.front)
-        ]
-
-    @property
-    def knee(self) -> list[str]:
-        """What the knee of the front costs, in words."""
-        return [] if self.fit is None else knee_text(self.fit.front)
-
-    @property
-    def front_chart(self) -> str:
-        """The front as a curve."""
-        return style.inline_svg(figures.front(self.fit), "front") if self.fit and self.fit.front else ""
-
-    @property
-    def curves(self) -> list[tuple[str, str]]:
-        """The curves of a fit as SVG, each with its caption."""
-        if self.fit is None:
-            return []
-        return [
-            (
-                style.inline_svg(figures.loss(self.run), "loss"),
-                "The error over the fit. The label of each phase is the width of its soft compare in texels, the blur "
-                "of its images in pixels, hard, or search. The result is chosen by the hard compare.",
-            ),
-            (
-                style.inline_svg(figures.parameters(self.run), "parameters"),
-                "The parameters over the fit. Dashed lines are bounds, if they are near; dotted lines are the truth, "
-                "if it is known. Diamonds mark the result.",
-            ),
-        ]
-
-    @property
-    def is_wide(self) -> bool:
-        """Whether the parameters' curves take two columns."""
-        return self.fit is not None and len(self.fit.fitted) > figures.FEW_PARAMETERS
-
-    @property
-    def is_blurred(self) -> bool:
-        """Whether a phase compared blurred images."""
-        return self.fit is not None and any(phase.blur for phase in self.fit.solver.phases)
-
-    @property
-    def loss(self) -> str:
-        """What tables call the losses of the fit."""
-        return "loss" if self.fit is not None and self.fit.solver.is_own_loss else "RMSE"
-
-    def error(self, loss: float | None) -> str:
-        """The root of a mean square error, or a user's loss."""
-        if loss is not None and self.loss == "loss":
-            return f"{loss:.4g}"
-        return number("rmse", None if loss is None else loss**0.5)
-
-    def numbers(self, values: dict[str, float]) -> list[str]:
-        """Texts of values of the parameters, by name."""
-        assert self.fit is not None
-        bounds = self.fit.bounds
-        return [text_within(value, bounds[name].lower, bounds[name].upper) for name, value in values.items()]
-
-    @staticmethod
-    def compare(phase: Phase) -> str:
-        """The width of a phase's compare."""
-        if phase.searched:
-            return "hard, by search"
-        return f"{phase.width:.3g}" if phase.width else "hard"
-
-    @property
-    def starts(self) -> list[tuple[str, list[str]]]:
-        """The final error and the initial values of each of several starts, best first."""
-        starts = [] if self.fit is None else self.fit.starts
-        by_loss = sorted(starts, key=lambda start: np.inf if start.loss is None else start.loss)
-        return [(self.error(start.loss), self.numbers(start.initial)) for start in by_loss]
-
-    @property
-    def code(self) -> dict[str, Markup]:
-        """The code for an engine, by the light's key."""
-        return {} if self.fit is None else {key: lines_of(text) for key, text in self.fit.code.items()}
-
-    @property
     def files(self) -> dict[str, list[Picture]]:
         """The folder's other pictures, by heading. If a picture exists as SVG and PNG, the SVG is used."""
         found: dict[str, list[Path]] = {}
@@ -422,6 +265,100 @@ class VisibilityView(View[FitRecord | RenderRecord]):
                     starts = (text for start, text in _HEADINGS.items() if path.stem.startswith(start))
                     found.setdefault(next(starts, "Other pictures"), []).append(path)
         return {heading: file_pictures(paths) for heading, paths in found.items()}
+
+
+class RenderView(VisibilityView[RenderRecord]):
+    """Of a render."""
+
+    @property
+    def summary(self) -> list[str]:
+        technique, kernel = self.settings["technique.type"], self.settings["filter.type"]
+        name = f"{technique} with filter {kernel}" if technique in _FILTERED else technique
+        # The names of engines are written as they are.
+        name = name if "." in technique else name.replace("_", " ").capitalize()
+        return [f"{name}: the shadow's error is {self.record.metrics.errors.rmse:.4f} RMSE."]
+
+    @property
+    def aliasing(self) -> list[tuple[str, str, list[str]]]:
+        """Figures of how large texels are on the screen, for each light that has any: its key, their name and texts."""
+        rows = []
+        for light in self.record.metrics.lights:
+            if light.aliasing is not None:
+                parts = {"longest extent": light.aliasing.extent, "due to perspective": light.aliasing.perspective}
+                for name, each in parts.items():
+                    extents = (each.worst, each.percentile_99, 2**each.mean_log2)
+                    rows.append((light.light, name, [*(f"{x:.3g}" for x in extents), f"{each.undersampled:.1%}"]))
+        return rows
+
+
+class FitView(VisibilityView[FitRecord]):
+    """Of a fit to images of visibility."""
+
+    few_parameters: ClassVar = figures.FEW_PARAMETERS
+
+    @property
+    def without_verdict(self) -> list[str]:
+        before, after = self.record.metrics.before.rmse, self.record.metrics.after.rmse
+        return [f"The fit changed the shadow's error from {before:.4f} to {after:.4f} RMSE."]
+
+    @cached_property
+    def fitted(self) -> list[FittedNumber]:
+        """Each parameter."""
+        return list(_fitted(self.record, (4, 5 if self.record.truth else 4), ".1g"))
+
+    @property
+    def validation(self) -> list[ErrorRow]:
+        """Each error before and after the fit over the views that it has not seen."""
+        found = self.record.metrics.validation
+        if found is None:
+            return []
+        rows = zip(ERRORS.items(), cells(found.before), cells(found.after), strict=True)
+        return [ErrorRow(label, [before, after], "", UNITS[name]) for (name, label), before, after in rows]
+
+    @property
+    def widths(self) -> list[str]:
+        """The heads of the columns of intervals."""
+        return list(map(within_text, self.record.widths))
+
+    @property
+    def front(self) -> Iterator[tuple[list[str], bool]]:
+        """The settings of the front of false shadow against false light: errors and values, and whether it is the
+        knee."""
+        for point in self.record.front:
+            errors = (number("rmse", error) for error in (point.false_shadow, point.false_light, point.rmse))
+            yield [*errors, *(f"{value:.4g}" for value in point.values.values())], point.is_knee
+
+    @property
+    def knee(self) -> list[str]:
+        """What the knee of the front costs, in words."""
+        return knee_text(self.record.front)
+
+    @property
+    def loss(self) -> str:
+        """What tables call the losses of the fit."""
+        return "loss" if self.record.solver.is_own_loss else "RMSE"
+
+    def error(self, loss: float | None) -> str:
+        """The root of a mean square error, or a user's loss."""
+        if loss is not None and self.record.solver.is_own_loss:
+            return f"{loss:.4g}"
+        return number("rmse", None if loss is None else loss**0.5)
+
+    def numbers(self, values: dict[str, float]) -> list[str]:
+        """Texts of values of the parameters, by name."""
+        bounds = self.record.bounds
+        return [text_within(value, bounds[name].lower, bounds[name].upper) for name, value in values.items()]
+
+    @property
+    def starts(self) -> list[tuple[str, list[str]]]:
+        """The final error and the initial values of each of several starts, best first."""
+        starts = sorted(self.record.starts, key=lambda start: np.inf if start.loss is None else start.loss)
+        return [(self.error(start.loss), self.numbers(start.initial)) for start in starts]
+
+    @property
+    def code(self) -> dict[str, Markup]:
+        """The code for an engine, by the light's key."""
+        return {key: lines_of(text) for key, text in self.record.code.items()}
 
 
 class PictureView(View[PictureRecord]):
@@ -515,8 +452,8 @@ class ShapeView(View[ShapeRecord]):
 
 
 _VIEWS: dict[str, type[View[Any]]] = {
-    "fit": VisibilityView,
-    "render": VisibilityView,
+    "fit": FitView,
+    "render": RenderView,
     "picture": PictureView,
     "shape": ShapeView,
 }
