@@ -9,18 +9,7 @@ from rich.table import Table
 from ..._checks import text_within
 from ..._words import counted
 from ...fit import FitResult
-from ..record._runs import (
-    BeforeAndAfter,
-    Bounds,
-    FitMetrics,
-    FitRecord,
-    FolderRecord,
-    FrontPoint,
-    PictureRecord,
-    Profile,
-    RenderRecord,
-    ShapeRecord,
-)
+from ..record import _runs as records
 from ._table import (
     ERRORS,
     UNITS,
@@ -40,7 +29,7 @@ CODE = "engine.js"
 _MAX_STARTS = 8
 
 
-def print_run(console: Console, record: FolderRecord, seconds: float, result: FitResult | None = None) -> None:
+def print_run(console: Console, record: records.FolderRecord, seconds: float, result: FitResult | None = None) -> None:
     """Prints a finished run.
 
     **Arguments:**
@@ -51,27 +40,29 @@ def print_run(console: Console, record: FolderRecord, seconds: float, result: Fi
     if record.said is not None:
         print_lines(console, [record.said.sentence, *record.said.remedies], warn=not record.is_explained)
     match record:
-        case RenderRecord():
+        case records.RenderRecord():
             print_render(console, record)
             lines = [noise_text(record.metrics.reference_noise_floor)]
-        case FitRecord():
+        case records.FitRecord():
             lines = _print_fit(console, record, seconds, result)
-        case PictureRecord():
+        case records.PictureRecord():
             print_picture(console, record)
             lines = [f"{counted(record.steps, 'step')}, {seconds:.1f} s in all"]
-        case ShapeRecord():
+        case records.ShapeRecord():
             lines = [*print_shape(console, record), f"{seconds:.1f} s in all"]
-    if result is not None and (isinstance(record, PictureRecord) or (isinstance(record, FitRecord) and record.poses)):
+    if result is not None and (
+        isinstance(record, records.PictureRecord) or (isinstance(record, records.FitRecord) and record.poses)
+    ):
         print_values(console, record)
         _print_starts(console, result)
     print_lines(console, lines)
-    if isinstance(record, FitRecord):
+    if isinstance(record, records.FitRecord):
         for key, code in record.code.items():
             print_code(console, f"{CODE}, for {key}:", code)
     print_lines(console, record.warnings or [], warn=True)
 
 
-def _print_fit(console: Console, record: FitRecord, seconds: float, result: FitResult | None) -> list[str]:
+def _print_fit(console: Console, record: records.FitRecord, seconds: float, result: FitResult | None) -> list[str]:
     """Prints the tables of a fit. **Returns** the sentences below them."""
     print_fit(console, record)
     if record.profiles:
@@ -89,7 +80,7 @@ def _print_fit(console: Console, record: FitRecord, seconds: float, result: FitR
     return [f"errors are under the hard compare; {noise}", f"{steps}, {seconds:.1f} s in all"]
 
 
-def print_fit(console: Console, record: FitRecord) -> None:
+def print_fit(console: Console, record: records.FitRecord) -> None:
     """Prints the parameters and the errors under the hard compare, before and after the fit."""
     table = _table(record.name, "before", "after", "unit")
     for name, fitted in record.fitted.items():
@@ -100,7 +91,7 @@ def print_fit(console: Console, record: FitRecord) -> None:
     console.print(table)
 
 
-def print_profiles(console: Console, profiles: Mapping[str, Profile], fitted: Mapping[str, float]) -> None:
+def print_profiles(console: Console, profiles: Mapping[str, records.Profile], fitted: Mapping[str, float]) -> None:
     """Prints where each parameter may lie for errors close to the best, with the others fitted again."""
     heads = [within_text(each.within) for each in next(iter(profiles.values())).intervals]
     table = Table("error along each", "fitted", "least error", *heads, title_justify="left")
@@ -110,7 +101,7 @@ def print_profiles(console: Console, profiles: Mapping[str, Profile], fitted: Ma
     console.print(table)
 
 
-def print_front(console: Console, front: Sequence[FrontPoint]) -> None:
+def print_front(console: Console, front: Sequence[records.FrontPoint]) -> None:
     """Prints the front of false shadow against false light, and what its knee costs."""
     table = Table("false shadow", "false light", "RMSE", *map(escape, front[0].values), "", title_justify="left")
     for point in front:
@@ -121,14 +112,14 @@ def print_front(console: Console, front: Sequence[FrontPoint]) -> None:
     print_lines(console, knee_text(front))
 
 
-def print_validation(console: Console, views: int, errors: BeforeAndAfter) -> None:
+def print_validation(console: Console, views: int, errors: records.BeforeAndAfter) -> None:
     """Prints the errors before and after a fit over views that it has not seen."""
     table = _table(f"{counted(views, 'view')} for validation", "before", "after", "unit")
     _add_errors(table, errors)
     console.print(table)
 
 
-def print_render(console: Console, record: RenderRecord) -> None:
+def print_render(console: Console, record: records.RenderRecord) -> None:
     """Prints the errors of each of several lights' images, and those over all lights."""
     all_lights, lights = cells(record.metrics.errors), record.metrics.lights
     table = Table("", title=words(record.name), title_justify="left")
@@ -143,7 +134,7 @@ def print_render(console: Console, record: RenderRecord) -> None:
     console.print(table)
 
 
-def print_picture(console: Console, record: PictureRecord) -> None:
+def print_picture(console: Console, record: records.PictureRecord) -> None:
     """Prints the errors of a picture before and after the fit."""
     before, after = record.metrics.before, record.metrics.after
     table = _table(record.name, "before", "after")
@@ -153,7 +144,7 @@ def print_picture(console: Console, record: PictureRecord) -> None:
     console.print(table)
 
 
-def print_values(console: Console, record: FitRecord | PictureRecord) -> None:
+def print_values(console: Console, record: records.FitRecord | records.PictureRecord) -> None:
     """Prints truth, fitted value, error and standard deviation of each parameter."""
     table = Table("", "truth", "fitted", "error", "std. dev.")
     table.columns[0].no_wrap = True
@@ -178,7 +169,7 @@ def _print_starts(console: Console, result: FitResult) -> None:
     print_lines(console, [f"blurred {name} of {len(losses)} starts after the first phases, best first: {listed}"])
 
 
-def print_shape(console: Console, record: ShapeRecord) -> list[str]:
+def print_shape(console: Console, record: records.ShapeRecord) -> list[str]:
     """Prints how far a shape's shadows overlap their targets. **Returns** the sentences below the table."""
     measured = record.metrics
     heads = ("intersection over union", "before", "after, map", "after, rays")
@@ -206,11 +197,11 @@ def _table(title: str, *heads: str, first: str = "") -> Table:
     return table
 
 
-def _add_errors(table: Table, errors: BeforeAndAfter | FitMetrics) -> None:
+def _add_errors(table: Table, errors: records.BeforeAndAfter | records.FitMetrics) -> None:
     rows = zip(ERRORS.items(), cells(errors.before), cells(errors.after), strict=True)
     for (key, label), before, after in rows:
         table.add_row(label, before, after, UNITS[key])
 
 
-def _within(value: float, bounds: Bounds, digits: int = 4) -> str:
+def _within(value: float, bounds: records.Bounds, digits: int = 4) -> str:
     return text_within(value, bounds.lower, bounds.upper, digits)

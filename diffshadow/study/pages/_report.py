@@ -15,17 +15,8 @@ from ..._checks import text_within
 from ..._words import counted
 from ...shading import to_srgb
 from .. import style
+from ..record import _runs as records
 from ..record._files import add_files
-from ..record._runs import (
-    FitRecord,
-    FittedLight,
-    FolderRecord,
-    Overlap,
-    PictureRecord,
-    Profile,
-    RenderRecord,
-    ShapeRecord,
-)
 from ..record._stored import REPORT, LightImages, StoredRun, VisibilityRun
 from . import _figures as figures
 from ._next import Command, after_run
@@ -63,7 +54,7 @@ def write_report(run: StoredRun[Any], form: str | None = None, dpi: int = style.
     return run.folder / REPORT
 
 
-class View[Of: FolderRecord]:
+class View[Of: records.FolderRecord]:
     """What the page of a run shows. Texts are as they stand on the page."""
 
     template: ClassVar[str]
@@ -124,7 +115,9 @@ class FittedNumber(NamedTuple):
     intervals: tuple[str, ...] = ()
 
 
-def _fitted(record: FitRecord | PictureRecord, digits: tuple[int, int], deviation: str) -> Iterator[FittedNumber]:
+def _fitted(
+    record: records.FitRecord | records.PictureRecord, digits: tuple[int, int], deviation: str
+) -> Iterator[FittedNumber]:
     """Each parameter; `digits` of its start and of its result, and the form of its standard deviation."""
     for name, value in record.fitted.items():
         bounds, spread = record.bounds[name], record.deviations.get(name)
@@ -138,11 +131,11 @@ def _fitted(record: FitRecord | PictureRecord, digits: tuple[int, int], deviatio
             bounds.unit,
             text(bounds.lower, 6),
             text(bounds.upper, 6),
-            *_sureness(record.profiles.get(name) if isinstance(record, FitRecord) else None),
+            *_sureness(record.profiles.get(name) if isinstance(record, records.FitRecord) else None),
         )
 
 
-def _sureness(profile: Profile | None) -> tuple[str, tuple[str, ...]]:
+def _sureness(profile: records.Profile | None) -> tuple[str, tuple[str, ...]]:
     """Where a parameter's error is least, and where it is close to that."""
     if profile is None:
         return "", ()
@@ -176,7 +169,7 @@ class LightPictures(NamedTuple):
     differences: list[Picture]
 
 
-class VisibilityView[Of: FitRecord | RenderRecord](View[Of]):
+class VisibilityView[Of: records.FitRecord | records.RenderRecord](View[Of]):
     """Of a fit to images of visibility, or a render."""
 
     template = "report.html.j2"
@@ -215,7 +208,7 @@ class VisibilityView[Of: FitRecord | RenderRecord](View[Of]):
         rows = []
         for each, light in zip(self.run.lights, self.record.metrics.lights, strict=True):
             first, last = each.errors[0], each.errors[-1]
-            unseen = isinstance(light, FittedLight) and bool(light.validation)
+            unseen = isinstance(light, records.FittedLight) and bool(light.validation)
             numbers = cells(last, LIGHT_ERRORS)
             rows.append(LightRow(each.key, number("rmse", first.rmse), numbers, unseen, last.rmse or 0.0))
         return sorted(rows, key=lambda row: -row.rmse) if self.run.is_of_views else rows
@@ -267,7 +260,7 @@ class VisibilityView[Of: FitRecord | RenderRecord](View[Of]):
         return {heading: file_pictures(paths) for heading, paths in found.items()}
 
 
-class RenderView(VisibilityView[RenderRecord]):
+class RenderView(VisibilityView[records.RenderRecord]):
     """Of a render."""
 
     @property
@@ -291,7 +284,7 @@ class RenderView(VisibilityView[RenderRecord]):
         return rows
 
 
-class FitView(VisibilityView[FitRecord]):
+class FitView(VisibilityView[records.FitRecord]):
     """Of a fit to images of visibility."""
 
     few_parameters: ClassVar = figures.FEW_PARAMETERS
@@ -361,7 +354,7 @@ class FitView(VisibilityView[FitRecord]):
         return {key: lines_of(text) for key, text in self.record.code.items()}
 
 
-class PictureView(View[PictureRecord]):
+class PictureView(View[records.PictureRecord]):
     """Of a fit to a picture."""
 
     template = "picture.html.j2"
@@ -425,7 +418,7 @@ class PictureView(View[PictureRecord]):
         return [(key, ", ".join(f"{x:.5g}" for x in value), "") for key, value in self.record.camera.items()]
 
 
-class ShapeView(View[ShapeRecord]):
+class ShapeView(View[records.ShapeRecord]):
     """Of a fit of a shape."""
 
     template = "shape.html.j2"
@@ -437,7 +430,7 @@ class ShapeView(View[ShapeRecord]):
         return [(Markup(data_uri(f.read_bytes(), f.suffix)), text) for f, text in files.items() if f.is_file()]
 
     @property
-    def lights(self) -> Iterator[tuple[Overlap, list[Picture]]]:
+    def lights(self) -> Iterator[tuple[records.Overlap, list[Picture]]]:
         """Each light, and the pictures of its shadow."""
         for i, light in enumerate(self.record.metrics.lights):
             notes = {"Target": "", "Before": f"IoU {light.before:.4f}", "After": f"IoU {light.map:.4f}"}

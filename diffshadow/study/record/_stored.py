@@ -13,21 +13,9 @@ from ..._types import HostArray
 from ...config import CONFIG_FILE as CONFIG
 from ...config import RESULT_FILE as RESULT
 from ...config import Config, Row, describe, load_config
+from . import _runs as records
 from ._files import read_record
 from ._parts import SLACK
-from ._runs import (
-    Errors,
-    FitMetrics,
-    FitRecord,
-    FittedLight,
-    FolderRecord,
-    LightErrors,
-    PictureRecord,
-    RenderedLight,
-    RenderMetrics,
-    RenderRecord,
-    ShapeRecord,
-)
 
 ARRAYS, REPORT = "arrays.npz", "report.html"
 STATES = ("reference", "before", "after")
@@ -47,11 +35,11 @@ class LightImages(NamedTuple):
     reference: Float[HostArray, "h w"]
     mask: Bool[HostArray, "h w"]
     images: list[tuple[str, Float[HostArray, "h w"]]]
-    errors: list[LightErrors]
+    errors: list[records.LightErrors]
 
 
 @dataclasses.dataclass(frozen=True)
-class StoredRun[Of: FolderRecord]:
+class StoredRun[Of: records.FolderRecord]:
     """A finished run.
 
     - `folder`: the run's folder.
@@ -65,11 +53,11 @@ class StoredRun[Of: FolderRecord]:
     settings: Sequence[Row]
 
 
-class VisibilityRun[Of: FitRecord | RenderRecord](StoredRun[Of]):
+class VisibilityRun[Of: records.FitRecord | records.RenderRecord](StoredRun[Of]):
     """A finished fit to images of visibility, or a render."""
 
     @property
-    def errors(self) -> list[tuple[str, Errors]]:
+    def errors(self) -> list[tuple[str, records.Errors]]:
         """Title and errors over all lights of each state, the result last."""
         return list(zip(_titles(self.record).values(), _errors_of(self.record.metrics), strict=True))
 
@@ -93,12 +81,12 @@ class VisibilityRun[Of: FitRecord | RenderRecord](StoredRun[Of]):
     @property
     def is_of_views(self) -> bool:
         """Whether it is a fit to several views, of which the worst have pictures."""
-        return isinstance(self.record, FitRecord) and self.record.metrics.shown is not None
+        return isinstance(self.record, records.FitRecord) and self.record.metrics.shown is not None
 
     @property
     def shown(self) -> list[LightImages]:
         """The images that have pictures: of all lights, or of the worst views, the worst first."""
-        shown = self.record.metrics.shown if isinstance(self.record, FitRecord) else None
+        shown = self.record.metrics.shown if isinstance(self.record, records.FitRecord) else None
         return self.lights if shown is None else [self.lights[i] for i in shown]
 
     @property
@@ -109,9 +97,9 @@ class VisibilityRun[Of: FitRecord | RenderRecord](StoredRun[Of]):
         return [(title, image) for title, image in found.items() if image is not None]
 
 
-def is_fit(run: StoredRun[Any]) -> TypeGuard[VisibilityRun[FitRecord]]:
+def is_fit(run: StoredRun[Any]) -> TypeGuard[VisibilityRun[records.FitRecord]]:
     """Whether a run is a fit to images of visibility."""
-    return isinstance(run.record, FitRecord)
+    return isinstance(run.record, records.FitRecord)
 
 
 def read_run(folder: Path) -> VisibilityRun[Any]:
@@ -121,12 +109,12 @@ def read_run(folder: Path) -> VisibilityRun[Any]:
     or belong to different runs; `ConfigError` if its configuration cannot be read.
     """
     record = read_record(folder)
-    if not isinstance(record, FitRecord | RenderRecord):
+    if not isinstance(record, records.FitRecord | records.RenderRecord):
         raise io.FileError(f"{folder} holds a {record.kind}; expected the folder of a fit or a render")
     return _run(folder, record)
 
 
-def stored_run(folder: Path, record: FolderRecord) -> StoredRun[Any]:
+def stored_run(folder: Path, record: records.FolderRecord) -> StoredRun[Any]:
     """The run in `folder`, of which the record has been read. **Raises** as `read_run`."""
     return _run(folder, record)
 
@@ -134,7 +122,7 @@ def stored_run(folder: Path, record: FolderRecord) -> StoredRun[Any]:
 def _run(folder: Path, record: Any) -> Any:
     # A report needs only the run's own files: meshes and reference images may no longer exist. A fit made in Python has
     # no configuration, and the page of a fit to a picture shows none of it.
-    is_configured = record.command is not None and not isinstance(record, PictureRecord)
+    is_configured = record.command is not None and not isinstance(record, records.PictureRecord)
     config = load_config(_existing(folder, CONFIG), [], files=False) if is_configured else None
     if config is not None:
         _check_same(folder, record, config)
@@ -144,21 +132,29 @@ def _run(folder: Path, record: Any) -> Any:
     return stored(folder, record, arrays, config)
 
 
-def stored(folder: Path, record: FolderRecord, arrays: Mapping[str, Any], config: Config | None) -> StoredRun[Any]:
+def stored(
+    folder: Path, record: records.FolderRecord, arrays: Mapping[str, Any], config: Config | None
+) -> StoredRun[Any]:
     """The run in `folder`, or that is about to be written there."""
-    kind: Any = VisibilityRun if isinstance(record, FitRecord | RenderRecord) else StoredRun
+    kind: Any = VisibilityRun if isinstance(record, records.FitRecord | records.RenderRecord) else StoredRun
     found = {name: np.asarray(array) for name, array in arrays.items()}
     return kind(folder, record, found, [] if config is None else describe(config))
 
 
-def _titles(record: FitRecord | RenderRecord) -> dict[str, str]:
+def _titles(record: records.FitRecord | records.RenderRecord) -> dict[str, str]:
     """The titles of the states of a run, by the names of their arrays."""
-    return {"before": "Before", "after": "After"} if isinstance(record, FitRecord) else {"visibility": "Visibility"}
+    return (
+        {"before": "Before", "after": "After"}
+        if isinstance(record, records.FitRecord)
+        else {"visibility": "Visibility"}
+    )
 
 
-def _errors_of(of: FitMetrics | RenderMetrics | FittedLight | RenderedLight) -> list[Any]:
+def _errors_of(
+    of: records.FitMetrics | records.RenderMetrics | records.FittedLight | records.RenderedLight,
+) -> list[Any]:
     """The errors of each state."""
-    return [of.before, of.after] if isinstance(of, FitMetrics | FittedLight) else [of.errors]
+    return [of.before, of.after] if isinstance(of, records.FitMetrics | records.FittedLight) else [of.errors]
 
 
 def _existing(folder: Path, name: str) -> Path:
@@ -167,17 +163,21 @@ def _existing(folder: Path, name: str) -> Path:
     return folder / name
 
 
-def _check_same(folder: Path, record: FolderRecord, config: Config) -> None:
+def _check_same(folder: Path, record: records.FolderRecord, config: Config) -> None:
     """Checks that record and configuration belong to the same run."""
     named = {}
-    if isinstance(record, ShapeRecord):
+    if isinstance(record, records.ShapeRecord):
         if config.fit.shape is None:
             raise io.FileError(f"{folder / CONFIG} has no fit.shape; expected the run's own: run it again")
         return
-    if isinstance(record, FitRecord | RenderRecord) and config.fit.views is None and config.fit.validation is None:
+    if (
+        isinstance(record, records.FitRecord | records.RenderRecord)
+        and config.fit.views is None
+        and config.fit.validation is None
+    ):
         lights = [".".join(map(str, ("scene", *key))) for key in config.scene.each_light]
         named["lights"] = lights, [light.light for light in record.metrics.lights]
-    if isinstance(record, FitRecord):
+    if isinstance(record, records.FitRecord):
         named["parameters"] = list(config.fit.parameters), list(record.fitted)
     for what, (ours, theirs) in named.items():
         if ours != theirs:
@@ -187,21 +187,21 @@ def _check_same(folder: Path, record: FolderRecord, config: Config) -> None:
             )
 
 
-def _layouts(record: FolderRecord, config: Config | None) -> dict[str, io.ArrayLayout]:
+def _layouts(record: records.FolderRecord, config: Config | None) -> dict[str, io.ArrayLayout]:
     """The layouts of the arrays that reports and figures need."""
     count, images = lambda kind: io.ArrayLayout(kind, (None,)), lambda *shape: io.ArrayLayout("f", shape, bytes=4)
     history = {"history_phase": count("iu"), "history_loss": io.ArrayLayout("f", (None,), bytes=4)}
-    if isinstance(record, ShapeRecord):
+    if isinstance(record, records.ShapeRecord):
         assert config is not None
         assert config.fit.shape is not None
         shape = (len(record.metrics.lights), *config.fit.shape.resolution)
         return {**dict.fromkeys(STATES, images(*shape)), **history}
-    if isinstance(record, PictureRecord):
+    if isinstance(record, records.PictureRecord):
         height, width = record.metrics.resolution
         mask = io.ArrayLayout("b", (height, width))
         return {**dict.fromkeys(STATES, images(height, width, 3)), "mask": mask, **history}
     if config is None:
-        assert isinstance(record, FitRecord)
+        assert isinstance(record, records.FitRecord)
         assert record.metrics.resolution is not None
         height, width = record.metrics.resolution
     else:
@@ -214,16 +214,16 @@ def _layouts(record: FolderRecord, config: Config | None) -> dict[str, io.ArrayL
         "mask": io.ArrayLayout("b", shape),
         **dict.fromkeys((f"shaded_{name}" for name in states), shaded),
     }
-    if not isinstance(record, FitRecord):
+    if not isinstance(record, records.FitRecord):
         return layouts
     values = io.ArrayLayout("f", (None, len(record.fitted)))
     start = io.ArrayLayout("iu", (None,), required=False)
     return {**layouts, **history, "history_start": start, "history_values": values}
 
 
-def _check_values(file: Path, record: FolderRecord, arrays: Mapping[str, HostArray]) -> None:
+def _check_values(file: Path, record: records.FolderRecord, arrays: Mapping[str, HostArray]) -> None:
     """Checks the values of the arrays of visibility."""
-    if not isinstance(record, FitRecord | RenderRecord):
+    if not isinstance(record, records.FitRecord | records.RenderRecord):
         return
     for name in ("reference", *_titles(record)):
         low, high = float(arrays[name].min()), float(arrays[name].max())
@@ -233,7 +233,7 @@ def _check_values(file: Path, record: FolderRecord, arrays: Mapping[str, HostArr
     counted, pixels = int(arrays["mask"].sum()), record.metrics.pixels
     if counted != pixels:
         raise _damaged(file, f"{counted:,} pixels count in the array mask; expected the {pixels:,} of {RESULT}")
-    if isinstance(record, FitRecord):
+    if isinstance(record, records.FitRecord):
         lengths = {name: len(array) for name, array in arrays.items() if name.startswith("history_")}
         if len(set(lengths.values())) > 1:
             listed = ", ".join(f"{name} {length}" for name, length in lengths.items())
