@@ -197,13 +197,13 @@ def _found(run: Run, path: Trajectory, tried: list[Start], sureness: Sureness) -
     """What a run found along its best path, and what it finds out about the values near the best: the fields of the
     result.
 
-    Within a run, values are counted from the parameters' offsets. Here they leave it, as the reporter's steps do. Only
-    lights and meshes have offsets, and their fits have neither profiles nor fronts.
+    Within a run, values are counted from the parameters' offsets. Here they leave it, as the reporter's steps do.
     """
     told = run.told
     named = lambda values: dict(zip(run.names, told(values), strict=True))
     best = path.chosen(run.solver.noise or 0.0)
     values, least, profiles = _chosen(run, path.values[best], sureness)
+    front = front_of(run, least, sureness.front) if sureness.front else []
     end = run.judge.at(as_float(values))
     return {
         "technique": end.technique,
@@ -218,9 +218,11 @@ def _found(run: Run, path: Trajectory, tried: list[Start], sureness: Sureness) -
         "starts": [start._replace(initial=told(start.initial), end=told(start.end)) for start in tried],
         "enlargements": run.enlargements,
         "problems": run.judge.joint.problems,
-        "profiles": profiles,
+        "profiles": [
+            each.shifted(p.offset) if p.offset else each for each, p in zip(profiles, run.given, strict=False)
+        ],
         "best": named(least),
-        "front": front_of(run, least, sureness.front) if sureness.front else [],
+        "front": [point._replace(values=told(point.values)) for point in front],
         "at_bounds": at_bounds(run, run.given, values),
         "errors": (root(path.losses[0]), run.error(least)),
         "is_own_loss": run.judge.joint.own is not None,

@@ -251,6 +251,9 @@ def test_a_front_of_fewer_points_than_asked_for_is_remarked_on():
     assert remarks(parse_config(BASE), result(front=points, sureness=fit.Sureness(front=3))) == []
     (said,) = remarks(parse_config(BASE), result(front=points, sureness=fit.Sureness(front=9)))
     assert said.startswith("fit.front is 9, and the front has 3 points: no other settings")
+    # Of a fit that was made in Python.
+    (said,) = remarks(None, result(front=points, sureness=fit.Sureness(front=9)))
+    assert said.startswith("Sureness.front is 9, and the front has 3 points")
 
 
 @pytest.mark.parametrize(
