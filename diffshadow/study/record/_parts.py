@@ -39,7 +39,7 @@ class Part(BaseModel):
     later version or a user may have added them.
     """
 
-    model_config = ConfigDict(extra="ignore", strict=True, frozen=True, allow_inf_nan=False, from_attributes=True)
+    model_config = ConfigDict(extra="ignore", strict=True, frozen=True, allow_inf_nan=False)
 
     @classmethod
     def of(cls, source: Any, **more: Any) -> Self:
@@ -50,14 +50,15 @@ class Part(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _made_plain(cls, given: Any) -> Any:
-        return plain(given)
+        # What `fit` found has parts of its own, which are tuples with names.
+        return plain(given._asdict() if hasattr(given, "_asdict") else given)
 
 
 def plain(value: Any) -> Any:
     """`value` in a form that JSON can hold: non-finite numbers become none, and lone surrogates are escaped."""
     if isinstance(value, Mapping):
         return {plain(str(key)): plain(inner) for key, inner in value.items()}
-    # Of a tuple with names, a part is made by its attributes.
+    # Of a tuple with names, a part is made.
     if isinstance(value, list | tuple) and not hasattr(value, "_fields"):
         return [plain(inner) for inner in value]
     if isinstance(value, str):
