@@ -169,7 +169,7 @@ class LightPictures(NamedTuple):
     differences: list[Picture]
 
 
-class VisibilityView[Of: records.FitRecord | records.RenderRecord](View[Of]):
+class VisibilityView[Of: records.VisibilityRecord](View[Of]):
     """Of a fit to images of visibility, or a render."""
 
     template = "report.html.j2"

@@ -448,5 +448,7 @@ class ShapeRecord(Run):
     phases: list[ShapePhase]
 
 
+VisibilityRecord = FitRecord | RenderRecord
+"""The record of a run with images of visibility."""
 FolderRecord = RenderRecord | FitRecord | PictureRecord | ShapeRecord
 """The record of a run."""

@@ -53,7 +53,7 @@ class StoredRun[Of: records.FolderRecord]:
     settings: Sequence[Row]
 
 
-class VisibilityRun[Of: records.FitRecord | records.RenderRecord](StoredRun[Of]):
+class VisibilityRun[Of: records.VisibilityRecord](StoredRun[Of]):
     """A finished fit to images of visibility, or a render."""
 
     @property
@@ -109,17 +109,13 @@ def read_run(folder: Path) -> VisibilityRun[Any]:
     or belong to different runs; `ConfigError` if its configuration cannot be read.
     """
     record = read_record(folder)
-    if not isinstance(record, records.FitRecord | records.RenderRecord):
+    if not isinstance(record, records.VisibilityRecord):
         raise io.FileError(f"{folder} holds a {record.kind}; expected the folder of a fit or a render")
-    return _run(folder, record)
+    return stored_run(folder, record)
 
 
-def stored_run(folder: Path, record: records.FolderRecord) -> StoredRun[Any]:
-    """The run in `folder`, of which the record has been read. **Raises** as `read_run`."""
-    return _run(folder, record)
-
-
-def _run(folder: Path, record: Any) -> Any:
+def stored_run(folder: Path, record: records.FolderRecord) -> Any:
+    """The run in `folder`, whose record has been read. **Raises** as `read_run`."""
     # A report needs only the run's own files: meshes and reference images may no longer exist. A fit made in Python has
     # no configuration, and the page of a fit to a picture shows none of it.
     is_configured = record.command is not None and not isinstance(record, records.PictureRecord)
@@ -136,18 +132,16 @@ def stored(
     folder: Path, record: records.FolderRecord, arrays: Mapping[str, Any], config: Config | None
 ) -> StoredRun[Any]:
     """The run in `folder`, or that is about to be written there."""
-    kind: Any = VisibilityRun if isinstance(record, records.FitRecord | records.RenderRecord) else StoredRun
+    kind: Any = VisibilityRun if isinstance(record, records.VisibilityRecord) else StoredRun
     found = {name: np.asarray(array) for name, array in arrays.items()}
     return kind(folder, record, found, [] if config is None else describe(config))
 
 
-def _titles(record: records.FitRecord | records.RenderRecord) -> dict[str, str]:
+def _titles(record: records.VisibilityRecord) -> dict[str, str]:
     """The titles of the states of a run, by the names of their arrays."""
-    return (
-        {"before": "Before", "after": "After"}
-        if isinstance(record, records.FitRecord)
-        else {"visibility": "Visibility"}
-    )
+    if isinstance(record, records.RenderRecord):
+        return {"visibility": "Visibility"}
+    return {"before": "Before", "after": "After"}
 
 
 def _errors_of(
@@ -170,11 +164,7 @@ def _check_same(folder: Path, record: records.FolderRecord, config: Config) -> N
         if config.fit.shape is None:
             raise io.FileError(f"{folder / CONFIG} has no fit.shape; expected the run's own: run it again")
         return
-    if (
-        isinstance(record, records.FitRecord | records.RenderRecord)
-        and config.fit.views is None
-        and config.fit.validation is None
-    ):
+    if isinstance(record, records.VisibilityRecord) and config.fit.views is None and config.fit.validation is None:
         lights = [".".join(map(str, ("scene", *key))) for key in config.scene.each_light]
         named["lights"] = lights, [light.light for light in record.metrics.lights]
     if isinstance(record, records.FitRecord):
@@ -223,7 +213,7 @@ def _layouts(record: records.FolderRecord, config: Config | None) -> dict[str, i
 
 def _check_values(file: Path, record: records.FolderRecord, arrays: Mapping[str, HostArray]) -> None:
     """Checks the values of the arrays of visibility."""
-    if not isinstance(record, records.FitRecord | records.RenderRecord):
+    if not isinstance(record, records.VisibilityRecord):
         return
     for name in ("reference", *_titles(record)):
         low, high = float(arrays[name].min()), float(arrays[name].max())
