@@ -172,7 +172,7 @@ def built(where: str, section: type[Section], data: dict[str, Any]) -> Any:
         "scene.light": lambda: build_scene(config).light,
         "shading": lambda: build_shading(config),
         "shading.attenuation": lambda: build_shading(config).attenuation,
-        "fit": lambda: build_fit(config),
+        "fit": lambda: vars(build_fit(config).search) | vars(build_fit(config).sureness),
         "fit.solver": lambda: build_fit(config).solver,
         "fit.anneal": lambda: build_fit(config).anneal,
         "fit.loss": lambda: build_fit(config).loss,

@@ -183,8 +183,8 @@ def test_a_fit_from_the_page_is_the_commands(tmp_path):
     assert done.wait(120)
     assert "error" not in news[-1]
     with staying_in(tmp_path):
-        result = read_run(run_fit(parse_config(viewer.save(state)["yaml"]), console=Console(quiet=True))).result
-    assert news[-1]["values"] == {name: float(f"{value:.8g}") for name, value in result["fitted"].items()}
+        result = read_run(run_fit(parse_config(viewer.save(state)["yaml"]), console=Console(quiet=True))).record
+    assert news[-1]["values"] == {name: float(f"{value:.8g}") for name, value in result.fitted.items()}
     assert sum(bool(each.get("step")) for each in news) == len(viewer.fit.state["steps"]) > 2
     assert viewer.fit.state["steps"][0]["error"] > viewer.fit.state["steps"][-1]["error"]
 

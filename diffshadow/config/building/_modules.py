@@ -2,7 +2,7 @@
 
 import dataclasses
 import inspect
-from typing import Any, NamedTuple
+from typing import Any
 
 from ... import fit, geometry, shadow
 from ..._checks import text_within
@@ -28,32 +28,24 @@ from ._technique import build_shading, build_shadow_mapping, module_of, values_o
 from ._technique import build_technique as build_technique
 
 
-class FitPlan(NamedTuple):
-    """The parameters to fit, the solver, and the annealing of the compare's width.
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class FitPlan:
+    """What is fitted, and how.
 
+    - `solver`, `anneal`, `search`, `sureness`: as for `fit.fit`.
     - `loss`: of the errors of all views and lights, a `fit.Loss` or a user's.
     - `arrangement`: technique, lights and meshes of the scene if lights or meshes are fitted; otherwise none.
-    - `blurs`, `starts`: for a fit of lights or meshes, as in `fit.fit`.
-    - `evaluations`, `pixels`, `devices`: as for `fit.Search`.
     - `truth`: the scene's own values of fitted poses, by name, if the reference is traced.
-    - `within`, `prefer`, `tolerance`, `front`: as in `fit.fit`.
     """
 
     parameters: list[fit.Parameter]
     solver: fit.Solver
     anneal: fit.Anneal
     loss: Any
+    search: fit.Search
+    sureness: fit.Sureness
     arrangement: fit.Arrangement | None
-    blurs: tuple[float, ...] | None
-    starts: int
-    evaluations: int
-    pixels: int
-    devices: int
     truth: dict[str, float]
-    within: tuple[float, ...]
-    prefer: tuple[tuple[str, fit.Bound], ...]
-    tolerance: float
-    front: int
 
 
 def build_fit(config: Config, scene: geometry.Scene | None = None) -> FitPlan:
@@ -88,22 +80,24 @@ def build_fit(config: Config, scene: geometry.Scene | None = None) -> FitPlan:
                 truth[name] = _reachable(start, bounds)
             start = start if bounds.initial is None else bounds.initial
             parameters.append(fit.Parameter(name, start, *limits, units[name], path, offset))
+    section = config.fit
+    prefer: dict[str, fit.Bound] = {name: _towards_zero(section.parameters[name]) for name in preferences(section)}
     return FitPlan(
-        parameters,
-        built_solver,
-        built_anneal,
-        _loss(config, built_solver),
-        arrangement,
-        config.fit.blurs,
-        config.fit.multistart,
-        config.fit.evaluations,
-        config.fit.pixels,
-        config.fit.devices,
-        truth,
-        config.fit.intervals,
-        tuple((name, _towards_zero(config.fit.parameters[name])) for name in preferences(config.fit)),
-        config.fit.tolerance,
-        config.fit.front,
+        parameters=parameters,
+        solver=built_solver,
+        anneal=built_anneal,
+        loss=_loss(config, built_solver),
+        search=fit.Search(
+            starts=section.multistart,
+            seed=config.seed,
+            blurs=section.blurs,
+            evaluations=section.evaluations,
+            pixels=section.pixels,
+            devices=section.devices,
+        ),
+        sureness=fit.Sureness(section.intervals, tuple(prefer.items()), section.tolerance, section.front),
+        arrangement=arrangement,
+        truth=truth,
     )
 
 
