@@ -234,7 +234,7 @@ def test_references_get_better_and_give_the_figures_of_a_render(viewer, tmp_path
         saved = parse_config(viewer.save(seen.state)["yaml"])
         errors = read_run(run_render(saved, console=Console(quiet=True))).errors[0][1]
     for name in ("rmse", "false_shadow_rate", "false_light_rate"):
-        assert shown.about["figures"][name] == pytest.approx(errors[name], rel=1e-5, abs=1e-7)
+        assert shown.about["figures"][name] == pytest.approx(getattr(errors, name), rel=1e-5, abs=1e-7)
     frame = viewer.frame(seen, full=True)
     assert figures_of(frame, truth) == shown.about["figures"]
     lit = dataclasses.replace(truth, visibility=np.ones_like(truth.visibility))

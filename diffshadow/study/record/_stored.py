@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple, TypeGuard
 
@@ -56,12 +57,12 @@ class StoredRun[Of: records.FolderRecord]:
 class VisibilityRun[Of: records.VisibilityRecord](StoredRun[Of]):
     """A finished fit to images of visibility, or a render."""
 
-    @property
+    @cached_property
     def errors(self) -> list[tuple[str, records.Errors]]:
         """Title and errors over all lights of each state, the result last."""
         return list(zip(_titles(self.record).values(), _errors_of(self.record.metrics), strict=True))
 
-    @property
+    @cached_property
     def lights(self) -> list[LightImages]:
         """The images of each light."""
         lights = self.record.metrics.lights
@@ -78,18 +79,18 @@ class VisibilityRun[Of: records.VisibilityRecord](StoredRun[Of]):
             for i, light in enumerate(lights)
         ]
 
-    @property
+    @cached_property
     def is_of_views(self) -> bool:
         """Whether it is a fit to several views, of which the worst have pictures."""
         return isinstance(self.record, records.FitRecord) and self.record.metrics.shown is not None
 
-    @property
+    @cached_property
     def shown(self) -> list[LightImages]:
         """The images that have pictures: of all lights, or of the worst views, the worst first."""
         shown = self.record.metrics.shown if isinstance(self.record, records.FitRecord) else None
         return self.lights if shown is None else [self.lights[i] for i in shown]
 
-    @property
+    @cached_property
     def shaded(self) -> list[tuple[str, HostArray]]:
         """Title and sRGB image (h, w, 3) of the reference and each state, under all lights, the result last."""
         names = {"reference": "Reference", **_titles(self.record)}
