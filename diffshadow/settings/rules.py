@@ -6,6 +6,8 @@ wrote them to `rules.json`. docs/rules_of_thumb.md says how, and what they are w
 
 import json
 from importlib import resources
+from itertools import pairwise
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 from . import filters
@@ -30,13 +32,6 @@ class Numbers(NamedTuple):
     constant: float
     slope: float
     normal_offset: float
-
-
-class Pair(NamedTuple):
-    """A constant and a slope bias, in texels."""
-
-    constant: float
-    slope: float
 
 
 class Rule(NamedTuple):
@@ -94,23 +89,77 @@ MEASURED = (
     filters.Castano,
     filters.RandomDisk,
 )
-"""Filters that have a rule: their taps are compared one by one, as far as a known reach."""
-_OTHERS = Pair(0.5, 0.5)
+"""Filters that have a rule, or the formula: their taps are compared one by one, as far as a known reach."""
+_NONE, _OTHERS = Numbers(0.0, 0.0, 0.0), Numbers(0.5, 0.5, 0.0)
 # Of a texel. Nobody types more.
 _DIGITS = 2
 
 
-def bias_of(kind: type[Any], reach: float, *, plane: bool = False) -> Pair:
+class Measured(NamedTuple):
+    """A filter as it was measured: its name in `FILTER_RULES`, its reach in texels, and its rule."""
+
+    name: str
+    reach: float
+    rule: Rule
+
+
+def _measured() -> dict[type[filters.Filter], list[Measured]]:
+    """What was measured without a receiver plane, by kind of filter and ascending reach."""
+    kinds, found = {each.type: each for each in MEASURED}, {}
+    for name, rule in FILTER_RULES.items():
+        label, *sizes = name.split(", ")
+        if sizes[1:]:
+            continue
+        kind = kinds[label]
+        radius = {"radius": float(sizes[0].removeprefix("radius "))} if sizes else {}
+        found.setdefault(kind, []).append(Measured(name, kind.reach_of(SimpleNamespace(**radius)), rule))
+    # Narrow boxes and disks are a bilinear compare.
+    for kind in (filters.PercentageCloser, filters.RandomDisk):
+        found[kind] = found[filters.Bilinear] + found[kind]
+    return found
+
+
+_BY_KIND = _measured()
+
+
+def measured_of(kind: type[Any]) -> list[Measured]:
+    """What was measured of a kind of filter, by ascending reach; empty if nothing was."""
+    return next((found for each, found in _BY_KIND.items() if issubclass(kind, each)), [])
+
+
+def bias_of(kind: type[Any], reach: float, *, plane: bool = False) -> Numbers:
     """The bias for a kind of filter that reads the map as far as `reach` texels from the receiver, beside a bias from
-    the receiver's plane if there is a `plane`. Filters without a rule have little or none."""
+    the receiver's plane if there is a `plane`. Filters that take no compares one by one have little or none.
+
+    It is the filter's own rule where one was measured, else the formula for any filter. Between two reaches that were
+    measured, it is interpolated. Beyond the widest, the slope bias grows as in the formula.
+    """
     if not issubclass(kind, MEASURED):
-        return Pair(0.0, 0.0) if plane else _OTHERS
-    return Pair(plane_constant_for(reach), 0.0) if plane else bias_for(reach)
+        return _NONE if plane else _OTHERS
+    if plane:
+        return Numbers(plane_constant_for(reach), 0.0, 0.0)
+    own = measured_of(kind)
+    if not own:
+        return formula_for(reach)
+    constant, slope, offset = _interpolated(own, reach)
+    slope += SLOPE_PER_TEXEL * max(reach - own[-1].reach, 0.0)
+    return Numbers(round(constant, _DIGITS), round(slope, _DIGITS), round(offset, _DIGITS))
 
 
-def bias_for(reach: float) -> Pair:
-    """The bias for a filter that reads the map as far as `reach` texels from the receiver."""
-    return Pair(CONSTANT, round(SLOPE_PER_TEXEL * reach, _DIGITS))
+def _interpolated(own: list[Measured], reach: float) -> Numbers:
+    """The bias at a reach, which is linear between those that were measured, and constant beyond them."""
+    if reach <= own[0].reach:
+        return own[0].rule.bias
+    for low, high in pairwise(own):
+        if reach <= high.reach:
+            part = (reach - low.reach) / (high.reach - low.reach)
+            return Numbers(*(a + part * (b - a) for a, b in zip(low.rule.bias, high.rule.bias, strict=True)))
+    return own[-1].rule.bias
+
+
+def formula_for(reach: float) -> Numbers:
+    """The bias by the formula for any filter, which reads the map as far as `reach` texels from the receiver."""
+    return Numbers(CONSTANT, round(SLOPE_PER_TEXEL * reach, _DIGITS), 0.0)
 
 
 def plane_constant_for(reach: float) -> float:

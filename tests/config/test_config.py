@@ -349,18 +349,18 @@ technique: {type: resolution_matched, page: 48}
 technique: {type: resolution_matched, page: 64, finest: 64}
     2: technique.finest: is 64, and pages are 64 texels wide; expected from 2 to 1024 pages; change it, or page
 technique: {type: resolution_matched, page: 16}↵filter: {type: pcf, radius: 9}
-    3: filter.radius: lets the filter read 9 texels away, further than a gutter of technique.page = 16; expected at
+    3: filter.radius: lets the filter read 9.5 texels away, further than a gutter of technique.page = 16; expected at
     most 7; enlarge technique.page, or lower it
 technique: {type: cascades, margin: 1}↵filter: {type: pcf, radius: 12}
-    2: technique.margin: is 1, and the filter reads 12 texels away, where the map may end; expected at least 12; raise
-    it, or remove it
+    2: technique.margin: is 1, and the filter reads 12.5 texels away, where the map may end; expected at least 12.5;
+    raise it, or remove it
 technique: {type: resolution_matched, margin: 2}↵filter: {type: nearest}↵bias: {normal_offset: 3}↵
 fit: {parameters: {bias.constant: {lower: 0, upper: 1}}}
     2: technique.margin: is 2, and the filter reads 3 texels away, where the map may end; expected at least 3; raise
     it, or remove it
 technique: {type: perspective_warp, margin: 4}↵fit: {parameters: {filter.radius: {lower: 0, upper: 6}}}
-    2: technique.margin: is 4, and fit.parameters.filter.radius.upper lets the filter read 6.5 texels away, where the
-    map may end; expected at least 6.5; raise it, or remove it
+    2: technique.margin: is 4, and fit.parameters.filter.radius.upper lets the filter read 7 texels away, where the
+    map may end; expected at least 7; raise it, or remove it
 fit: {parameters: {}}
     2: fit.parameters: is empty; expected at least one parameter to fit; add 'bias.constant: {lower: 0, upper: 10}'
 fit: {anneal: {end: 3}}
@@ -691,8 +691,8 @@ POINT = "scene: {meshes: [{path: 'builtin:box'}], light: {type: point}}\n"
     [
         (
             "filter:\n  type: pcf\n  radius: 50\n",
-            "4: filter.radius: lets the filter read 50 texels away, beyond the edge of a face of a point light's map; "
-            "expected at most 46.5 texels, which scene.light.guard = 0.1 allows; raise scene.light.guard to 0.11, "
+            "4: filter.radius: lets the filter read 50.5 texels away, beyond the edge of a face of a point light's "
+            "map; expected at most 46.5 texels, which scene.light.guard = 0.1 allows; raise scene.light.guard to 0.11, "
             "raise shadow_map.resolution, or lower filter.radius",
         ),
         (
@@ -703,7 +703,7 @@ POINT = "scene: {meshes: [{path: 'builtin:box'}], light: {type: point}}\n"
         ),
         (
             "fit: {parameters: {filter.radius: {lower: 0, upper: 60}}}\n",
-            "2: fit.parameters.filter.radius.upper: lets the filter read 60.5 texels away",
+            "2: fit.parameters.filter.radius.upper: lets the filter read 61 texels away",
         ),
         ("filter: {type: pcss, max_radius: 47}\n", "2: filter.max_radius: lets the filter read 47.5 texels away"),
     ],
@@ -1018,22 +1018,35 @@ def test_a_bias_that_knows_the_plane_needs_little_else_by_default():
 
 
 @pytest.mark.parametrize(
-    ("section", "reach"),
+    ("section", "expected"),
     [
-        ("{}", 2.5),
-        ("{type: bilinear}", 0.5),
-        ("{type: pcf, radius: 4}", 4.0),
-        ("{type: castano, size: 7}", 4.0),
-        ("{radius: 3}", 3.5),
+        ("{}", (3, 1, 0.5)),
+        ("{type: nearest}", (2, 0.5, 0)),
+        ("{type: bilinear}", (3, 0.5, 0)),
+        ("{type: pcf, radius: 1.5}", (4.5, 1, 0)),
+        ("{type: pcf}", (7, 1, 0.5)),
+        ("{radius: 4}", (10, 1, 1)),
+        # Between what was measured, narrower and wider.
+        ("{radius: 3}", (6.5, 1, 0.75)),
+        ("{type: pcf, radius: 1}", (3.75, 0.75, 0)),
+        ("{type: pcf, radius: 0}", (3, 0.5, 0)),
+        ("{type: pcf, radius: 4}", (7, 1.9, 0.5)),
+        # Not measured.
+        ("{type: castano, size: 7}", (8.9, 2.4, 0)),
+        ("{type: tent, radius: 2}", (8.9, 1.2, 0)),
     ],
 )
-def test_without_a_bias_there_is_the_one_that_holds_over_many_scenes(section, reach):
+def test_without_a_bias_there_is_the_one_that_holds_over_many_scenes(section, expected):
     text = f"{TINY}filter: {section}\n"
     bias = parse_config(text).bias
-    assert (bias.constant, bias.slope, bias.normal_offset) == (*rules.bias_for(reach), 0)
-    assert parse_config(f"{text}bias: {{constant: 1}}").bias.slope == bias.slope
+    assert (bias.constant, bias.slope, bias.normal_offset) == pytest.approx(expected)
+    # With a bias of one's own, no normal offset is added.
+    own = parse_config(f"{text}bias: {{constant: 1}}").bias
+    assert (own.slope, own.normal_offset) == (bias.slope, 0)
+    assert parse_config(f"{text}bias: {{slope_most: 9}}").bias.normal_offset == bias.normal_offset
     for own in ("{slope: 0}", "{terms: {slope: 1}}", "{unit: depth}"):
-        assert parse_config(f"{text}bias: {own}").bias.slope == 0
+        given = parse_config(f"{text}bias: {own}").bias
+        assert (given.slope, given.normal_offset) == (0, 0)
     fitted = "fit: {parameters: {bias.constant: {lower: 0, upper: 2}, bias.slope: {lower: 4, upper: 9}}}"
     bias = parse_config(text + fitted).bias
     assert (bias.constant, bias.slope) == (2, 4)

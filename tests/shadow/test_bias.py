@@ -11,6 +11,7 @@ from scenes import LIGHTS, drawn, floor_and_card, lamp, sun
 
 from diffshadow import shadow
 from diffshadow._arithmetic import as_float, at_least, at_most
+from diffshadow.config import parse_config
 from diffshadow.raster import Surface
 from diffshadow.settings import rules
 from diffshadow.shadow import (
@@ -451,8 +452,14 @@ def test_grazing_receivers_have_a_large_slope_but_no_endless_one():
 
 
 def test_the_bias_for_a_filter_is_that_of_a_configuration():
-    found = shadow.bias_for(shadow.PercentageCloser(2.5))
-    np.testing.assert_allclose((found.constant.value, found.slope.value), rules.bias_for(2.5), rtol=1e-6)
+    filters = [shadow.Nearest(), shadow.PercentageCloser(2.5), shadow.RandomDisk(3.0), shadow.Castano()]
+    for filter in filters:
+        found, text = shadow.bias_for(filter), "scene: {meshes: [{path: 'builtin:box'}]}\nfilter: "
+        radius = f", radius: {float(filter.radius):g}" if hasattr(filter, "radius") else ""
+        bias = parse_config(f"{text}{{type: {filter.settings.type}{radius}}}").bias
+        of_module = (found.constant.value, found.slope.value, found.normal_offset.value)
+        np.testing.assert_allclose(of_module, (bias.constant, bias.slope, bias.normal_offset), rtol=1e-6)
+    assert float(shadow.bias_for(shadow.Nearest()).constant.value) == 2
     beside = shadow.bias_for(shadow.PercentageCloser(2.5), shadow.ReceiverPlane())
     expected = (rules.plane_constant_for(2.5), 0)
     np.testing.assert_allclose((beside.constant.value, beside.slope.value), expected, rtol=1e-6)

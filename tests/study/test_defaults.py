@@ -8,6 +8,7 @@ from rich.console import Console
 
 from diffshadow import study
 from diffshadow.cli import main
+from diffshadow.config import parse_config
 from diffshadow.settings import rules
 from diffshadow.settings.engines import ENGINES
 
@@ -38,14 +39,26 @@ def test_all_rules_are_listed_with_what_they_are_worth():
 
 
 @pytest.mark.parametrize(
-    ("kind", "radius", "reach"), [("random_disk", 3, 3.5), ("pcf", 2.5, 2.5), ("bilinear", None, 0.5)]
+    ("kind", "radius", "numbers", "worth"),
+    [
+        ("nearest", None, "constant: 2, slope: 0.5", "nearest: price 1.06"),
+        ("bilinear", None, "constant: 3, slope: 0.5", "bilinear: price 1.10"),
+        ("pcf", 2.5, "constant: 7, slope: 1, normal_offset: 0.5", "pcf, radius 2.5: price 1.10"),
+        ("random_disk", 3, "constant: 6.5, slope: 1, normal_offset: 0.75", "random_disk, radius 2: price 1.10"),
+        ("tent", 2.5, "constant: 8.9, slope: 1.5", "the formula for any filter: price 1.14"),
+    ],
 )
-def test_a_filters_bias_follows_from_its_reach(kind, radius, reach):
+def test_a_filters_bias_is_its_own_rule_or_the_formula(kind, radius, numbers, worth):
     text = printed(filter=kind, radius=radius)
-    constant, slope = rules.bias_for(reach)
-    assert f"bias: {{constant: {constant:.3g}, slope: {slope:.3g}}}" in text
-    assert ("receiver_plane" in text) == (reach >= 1)
+    assert f"bias: {{{numbers}}}" in text
+    assert worth in text
+    assert ("receiver_plane" in text) == (radius is not None)
     assert f"type: {kind}" in text
+    # What is printed is what a configuration without a bias has.
+    found = re.search(r"filter: \{[^}]*\}", text)
+    assert found
+    section = f"scene: {{meshes: [{{path: 'builtin:box'}}]}}\n{found[0]}\n"
+    assert parse_config(section).bias == parse_config(f"{section}bias: {{{numbers}}}").bias
 
 
 def test_an_engines_settings_are_its_rule_in_its_units():

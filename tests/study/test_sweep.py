@@ -25,7 +25,7 @@ from diffshadow.config import Config, ConfigError, SweepConfig, load_config, loa
 from diffshadow.config.reading._axes import levels_of
 from diffshadow.config.reading._draft import parse_draft
 from diffshadow.metrics import flicker
-from diffshadow.settings import rules
+from diffshadow.settings import filters, rules
 from diffshadow.study.remarks._layout import frames_remarks
 from diffshadow.study.sweeps import _table as tables
 from diffshadow.study.sweeps._curves import curves_of
@@ -177,7 +177,7 @@ def test_cascades_that_are_not_stable_from_frame_to_frame_are_remarked_on(overri
 def test_whole_sections_and_their_keys_can_be_set_in_turn():
     sweep = sweep_of("{list: [{bias: {constant: 2}}, {bias: {slope: 3}}], grid: {bias.normal_offset: [0, 1]}}")
     found = [(run.config.bias.constant, run.config.bias.slope, run.config.bias.normal_offset) for run in sweep.runs]
-    constant, slope = rules.bias_for(2.5)
+    constant, slope, _ = rules.bias_of(filters.RandomDisk, 2.5)
     assert found == [(2, slope, 0), (2, slope, 1), (constant, 3, 0), (constant, 3, 1)]
 
 

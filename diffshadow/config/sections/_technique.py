@@ -449,17 +449,20 @@ FILTERS = Variants(filters.Filter, "random_disk", __name__)
 FilterConfig = Annotated[filters.Filter, FILTERS]
 
 
-_NONE = {"constant": 0.0, "slope": 0.0}
+_NONE = rules.Numbers(0.0, 0.0, 0.0)
 _PLANES = ({}, {"type": "none"}, {"type": "receiver_plane"})
 """Sections of a plane that the rules were measured with."""
 
 
 def with_bias(data: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The data of a configuration with a constant and a slope bias. What is no valid section is reported elsewhere."""
+    """The data of a configuration with a constant and a slope bias, and a normal offset where neither of them is given.
+    What is no valid section is reported elsewhere."""
     bias, kernel = data.get("bias", {}), data.get("filter", {})
     if not isinstance(bias, Mapping) or not isinstance(kernel, Mapping):
         return data
-    rule = {key: _within(data, key, value) for key, value in _rule(bias, kernel).items()}
+    rule = {key: _within(data, key, value) for key, value in _rule(bias, kernel)._asdict().items()}
+    if not rule.keys().isdisjoint(bias):
+        rule.pop("normal_offset")
     return {**data, "bias": {**rule, **bias}}
 
 
@@ -469,7 +472,7 @@ def _has_terms(bias: Mapping[str, Any]) -> bool:
     return bool(given(terms, *terms) if isinstance(terms, Mapping) else terms)
 
 
-def _rule(bias: Mapping[str, Any], kernel: Mapping[str, Any]) -> Mapping[str, float]:
+def _rule(bias: Mapping[str, Any], kernel: Mapping[str, Any]) -> rules.Numbers:
     # Rules are in texels, and a bias of terms needs no other.
     if bias.get("unit") == "depth" or _has_terms(bias) or bias.get("plane", {}) not in _PLANES:
         return _NONE
@@ -477,10 +480,10 @@ def _rule(bias: Mapping[str, Any], kernel: Mapping[str, Any]) -> Mapping[str, fl
     values = {key: kernel.get(key, field.default) for key, field in kind.model_fields.items()}
     plane = value_at(bias, "plane", "type", default="none") != "none"
     if not issubclass(kind, rules.MEASURED):
-        return rules.bias_of(kind, 0.0, plane=plane)._asdict()
+        return rules.bias_of(kind, 0.0, plane=plane)
     if not all(is_number(values[key]) for key in ("radius", "size") if key in values):
         return _NONE
-    return rules.bias_of(kind, float(kind.reach_of(SimpleNamespace(**values))), plane=plane)._asdict()
+    return rules.bias_of(kind, float(kind.reach_of(SimpleNamespace(**values))), plane=plane)
 
 
 def _within(data: Mapping[str, Any], key: str, value: float) -> float:

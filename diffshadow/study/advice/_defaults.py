@@ -95,7 +95,8 @@ def _print_all(console: Console) -> None:
     table.print_lines(
         console,
         [
-            f"for a filter that reaches r texels: constant {rules.CONSTANT:g}, slope {rules.SLOPE_PER_TEXEL:g} r; "
+            "without a bias, a configuration has its filter's rule; between two radii, it is interpolated",
+            f"for other filters, which reach r texels: constant {rules.CONSTANT:g}, slope {rules.SLOPE_PER_TEXEL:g} r; "
             f"{_sentence(rules.FORMULA_WORTH)}",
             f"with a bias from the receiver's plane: constant {rules.PLANE_CONSTANT:g} (1 + r); "
             f"{_sentence(rules.PLANE_WORTH)}",
@@ -120,12 +121,18 @@ def _print_filter(name: str, radius: float | None, console: Console) -> None:
             f"--radius is {radius:g}; expected 0 to {rules.MAX_REACH:g} texels, where the rule was measured; change it"
         )
     reach = kind.reach_of(kind if radius is None else SimpleNamespace(radius=radius))
-    constant, slope = rules.bias_for(reach)
+    bias = rules.bias_of(kind, reach)
     size = f", radius: {radius:g}" if radius is not None else ""
-    numbers = f"constant: {constant:.3g}, slope: {slope:.3g}"
+    numbers = ", ".join(f"{key}: {value:.3g}" for key, value in bias._asdict().items() if value or key == "constant")
     lines = [f"filter: {{type: {name}{size}}}", f"bias: {{{numbers}}}  # texels"]
     table.print_code(console, f"for a filter that reaches {reach:g} texels:", "\n".join(lines))
-    table.print_lines(console, [_sentence(rules.FORMULA_WORTH)])
+    own = rules.measured_of(kind)
+    if own:
+        near = min(own, key=lambda each: abs(each.reach - reach))
+        worth = f"{near.name}: {_sentence(near.rule.worth)}"
+    else:
+        worth = f"the formula for any filter: {_sentence(rules.FORMULA_WORTH)}"
+    table.print_lines(console, [worth])
     if reach >= 1:
         with_plane = f"bias: {{plane: {{type: receiver_plane}}, constant: {rules.plane_constant_for(reach):.3g}}}"
         table.print_code(console, "or, with less error and more work:", with_plane)
