@@ -7,6 +7,8 @@ from ._contribution import hides_light as hides_light
 from ._contribution import is_lit as is_lit
 from ._embree import occluded as occluded
 from ._exact import trace_visibility_exact
+from ._hidden_points import HiddenPoints as HiddenPoints
+from ._hidden_points import hidden_points as hidden_points
 from ._key_parts import KeyedScene as KeyedScene
 from ._key_parts import key_parts
 from ._reference import Reference

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Int
+from jaxtyping import Array, Float, Int
 
 from .._arithmetic import in_unit_range, is_traced
 from .._checks import check_instance
@@ -143,6 +143,11 @@ class ShadowMapping(AbstractTechnique):
         """Pixels whose surface lies within the light's frustum, (h, w): the map covers them."""
         return _covered(self.layout, self.bias, state, surface)
 
+    def shift(self, state: ShadowMap, surface: Surface) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
+        """How far the bias moves the surface at each pixel along the light's axis, (h, w), 0 where the map does not
+        cover it, and how wide a texel is there, (h, w), both in world units."""
+        return _shift(self.layout, self.bias, state, surface)
+
     def casting_sides(self, scene: Scene) -> tuple[Side | None, ...]:
         return of_casters(_LEFT[self.map.cull], scene)
 
@@ -203,6 +208,19 @@ def _covered(layout: AbstractLayout, bias: AbstractBias, shadow_map: ShadowMap, 
     lookup, _ = _look_up(bias, shadow_map, surface, choice.layer)
     covered = surface.mask & within_frustum(lookup, shadow_map)
     return covered if choice.strength is None else covered & (choice.strength > 0)
+
+
+@eqx.filter_jit
+def _shift(
+    layout: AbstractLayout, bias: AbstractBias, shadow_map: ShadowMap, surface: Surface
+) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
+    at = receiver(shadow_map, surface, layout.choose(shadow_map.light, surface.position).layer)
+    terms, view = bias(at), shadow_map.view.facing(at.layer)
+    shift = terms.depth * at.texel_size / at.depth_per_texel
+    if terms.displacement is not None:
+        shift = shift + view.distance(at.position) - view.distance(at.position + terms.displacement)
+    inside = within_frustum(look_up(shadow_map, at, terms), shadow_map)
+    return jnp.where(surface.mask & inside, shift, 0), at.texel_size
 
 
 @eqx.filter_checkpoint

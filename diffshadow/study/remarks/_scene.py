@@ -247,7 +247,7 @@ def side_remarks(config: Config, technique: shadow.AbstractTechnique, lit: Seque
 def _lost(scene: Scene, index: int, side: shadow.Side) -> _Lost | None:
     """What the mesh of this index loses in the image, if only its `side` casts; none if that is little."""
     own = np.repeat(np.arange(len(scene.meshes)), [mesh.faces.shape[0] for mesh in scene.meshes]) == index
-    casting = _turned(scene) if side == "front" else ~_turned(scene)
+    casting = turned(scene) if side == "front" else ~turned(scene)
     without = reference.hidden_pixels(scene, own & ~casting)
     if not without.any():
         return None
@@ -256,7 +256,7 @@ def _lost(scene: Scene, index: int, side: shadow.Side) -> _Lost | None:
     return _Lost(side, not left.any()) if lost > _LOST else None
 
 
-def _turned(scene: Scene) -> Bool[HostArray, " f"]:
+def turned(scene: Scene) -> Bool[HostArray, " f"]:
     """Which faces of the scene show their front to its light."""
     mesh = scene.mesh
     centres = mesh.vertices[mesh.faces].mean(axis=1)

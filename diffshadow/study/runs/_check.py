@@ -12,6 +12,7 @@ from ...settings.engines import Engine
 from ...settings.techniques import Mapped
 from ..pages import _table as table
 from ..record._folder import folder_of
+from ..remarks._bias import bias_remarks
 from ..remarks._layout import layout_remarks
 from ..remarks._scene import scene_remarks
 from ._measure import shade_lit
@@ -63,8 +64,10 @@ def check(config: Config, *, console: Console, preview: bool = False) -> Checked
         if fits and config.fit.views is None:
             check_comparable(config, seen, stages)
     of_scene = scene_remarks(config, technique, seen.lit, seen.surface)
-    of_layout = layout_remarks(technique, [".".join(map(str, key)) for key in seen.keys], seen.states)
-    table.print_lines(console, [*remarks, *seen.remarks, *of_scene, *of_layout], warn=True)
+    keys = [".".join(map(str, key)) for key in seen.keys]
+    of_layout = layout_remarks(technique, keys, seen.states)
+    of_bias = bias_remarks(config, technique, keys, seen.lit, seen.states)
+    table.print_lines(console, [*remarks, *seen.remarks, *of_scene, *of_layout, *of_bias], warn=True)
     triangles = int(scene.mesh.faces.shape[0])
     return Checked(triangles, *_preview(config, technique, seen)) if preview else Checked(triangles)
 

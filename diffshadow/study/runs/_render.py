@@ -16,6 +16,7 @@ from ..pages._console import print_run
 from ..record import _runs as records
 from ..record._folder import folder_of
 from ..record._stored import StoredRun
+from ..remarks._bias import bias_remarks
 from ..remarks._layout import layout_remarks
 from ..remarks._reference import reference_remarks
 from ..remarks._scene import scene_remarks
@@ -76,6 +77,13 @@ class Rendered:
             *drawn[0].remarks,
             *scene_remarks(config, self.technique, [each.scene for each in drawn], drawn[0].surface),
             *layout_remarks(self.technique, [each.key for each in drawn], [each.state for each in drawn]),
+            *bias_remarks(
+                config,
+                self.technique,
+                [each.key for each in drawn],
+                [each.scene for each in drawn],
+                [each.state for each in drawn],
+            ),
             *reference_remarks(config, drawn),
         ]
         return records.RenderRecord(

@@ -2,7 +2,7 @@
 arrays and their pictures."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,6 +18,7 @@ from .._drawn import Drawn
 from ..pages._console import CODE
 from ..record import _runs as records
 from ..record._stored import StoredRun
+from ..remarks._bias import bias_remarks
 from ..remarks._fit import remarks
 from ..remarks._layout import layout_remarks
 from ..remarks._reference import reference_remarks
@@ -115,9 +116,23 @@ class FittedRun:
         return [
             *self.views.remarks,
             *layout_remarks(result.technique, [each.key for each in drawn], [each.state for each in drawn]),
+            *self._bias_remarks(),
             *(reference_remarks(config, drawn) if config is not None and len(self.views.all) == 1 else []),
             *remarks(config, result, self.verdict.kind),
         ]
+
+    def _bias_remarks(self) -> Iterator[str]:
+        """What the fitted bias hides, once for all views that it is the same for."""
+        found: dict[str, int] = {}
+        for view, part in self.views.parts:
+            if view.config is not None:
+                drawn = self.after.drawn[part]
+                parts = ([each.key for each in drawn], [each.scene for each in drawn], [each.state for each in drawn])
+                for sentence in bias_remarks(view.config, self.result.technique, *parts):
+                    found[sentence] = found.get(sentence, 0) + 1
+        if found:
+            first, others = next(iter(found)), sum(found.values()) - 1
+            yield f"{first} (one of {others + 1} such views and lights)" if others else first
 
     @property
     def mapped(self) -> list[Drawn]:
