@@ -46,7 +46,11 @@ class Bias(Settings):
         "unit of the constant and slope bias: texel widths, or window depth from 0 to 1",
     ] = "texels"
     normal_offset: Annotated[
-        Texels, Fitted(), At("normal_offset.value"), "shift along the receiver's normal, in texels"
+        Texels,
+        Fitted(),
+        At("normal_offset.value"),
+        "shift along the receiver's normal, in texels; default: a rule of thumb for the filter, or 0 with a constant, "
+        "slope, plane or terms",
     ] = 0.0
     normal_offset_profile: Annotated[
         OffsetProfile, At("normal_offset.profile"), "how the normal offset grows with the angle to the light"

@@ -25,7 +25,7 @@ class Bias(AbstractBias):
     are `bias.constant`, `bias.slope` and so on for a fit.
 
     - `constant`, `slope`, `normal_offset`: a number of texels, or a bias module; none if left out. (A configuration
-        that says nothing of a bias has a constant and a slope bias.)
+        that says nothing of a bias has a rule of thumb: see `bias_for`.)
     - `terms`: a `LinearBias`, a `PerceptronBias` or none.
     - `plane`: a `ReceiverPlane`, an `AdaptiveBias` or none.
     - `factors`: for a map with layers, such as cascades: a factor for each layer, by which all of these but `plane` are
