@@ -49,8 +49,8 @@ class Bias(Settings):
         Texels,
         Fitted(),
         At("normal_offset.value"),
-        "shift along the receiver's normal, in texels; default: a rule of thumb for the filter, or 0 with a constant, "
-        "slope, plane or terms",
+        "shift along the receiver's normal, in texels; default: a rule of thumb for the filter, or 0 with a constant "
+        "and a slope, a plane or terms",
     ] = 0.0
     normal_offset_profile: Annotated[
         OffsetProfile, At("normal_offset.profile"), "how the normal offset grows with the angle to the light"

@@ -223,7 +223,7 @@ def settings_of(state: State, given: Config, now: Config) -> dict[str, Any]:
             settings |= {f"{key}.direction": None, **{f"{key}.{a}": value_at(now, f"{key}.{a}") for a in _ANGLES}}
     if any(name.partition(".")[0] == "filter" for name in settings):
         # Left out, they would follow the filter.
-        settings |= {name: value_at(now, name) for name in ("bias.constant", "bias.slope")}
+        settings |= {name: value_at(now, name) for name in ("bias.constant", "bias.slope", "bias.normal_offset")}
     if state.camera is not None:
         if getattr(given.scene.camera, "orbit", None) is not None:
             settings["scene.camera.orbit"] = None

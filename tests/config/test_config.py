@@ -1040,11 +1040,13 @@ def test_without_a_bias_there_is_the_one_that_holds_over_many_scenes(section, ex
     text = f"{TINY}filter: {section}\n"
     bias = parse_config(text).bias
     assert (bias.constant, bias.slope, bias.normal_offset) == pytest.approx(expected)
-    # With a bias of one's own, no normal offset is added.
     own = parse_config(f"{text}bias: {{constant: 1}}").bias
-    assert (own.slope, own.normal_offset) == (bias.slope, 0)
+    assert (own.slope, own.normal_offset) == (bias.slope, bias.normal_offset)
+    # To a constant and a slope of one's own, no normal offset is added.
+    assert parse_config(f"{text}bias: {{constant: 1, slope: 1}}").bias.normal_offset == 0
     assert parse_config(f"{text}bias: {{slope_most: 9}}").bias.normal_offset == bias.normal_offset
-    for own in ("{slope: 0}", "{terms: {slope: 1}}", "{unit: depth}"):
+    assert parse_config(f"{text}bias: {{slope: 0}}").bias.slope == 0
+    for own in ("{terms: {slope: 1}}", "{unit: depth}"):
         given = parse_config(f"{text}bias: {own}").bias
         assert (given.slope, given.normal_offset) == (0, 0)
     fitted = "fit: {parameters: {bias.constant: {lower: 0, upper: 2}, bias.slope: {lower: 4, upper: 9}}}"

@@ -455,13 +455,13 @@ _PLANES = ({}, {"type": "none"}, {"type": "receiver_plane"})
 
 
 def with_bias(data: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The data of a configuration with a constant and a slope bias, and a normal offset where neither of them is given.
-    What is no valid section is reported elsewhere."""
+    """The data of a configuration with a constant and a slope bias, and a normal offset unless both are given. What is
+    no valid section is reported elsewhere."""
     bias, kernel = data.get("bias", {}), data.get("filter", {})
     if not isinstance(bias, Mapping) or not isinstance(kernel, Mapping):
         return data
     rule = {key: _within(data, key, value) for key, value in _rule(bias, kernel)._asdict().items()}
-    if not rule.keys().isdisjoint(bias):
+    if "constant" in bias and "slope" in bias:
         rule.pop("normal_offset")
     return {**data, "bias": {**rule, **bias}}
 
