@@ -23,6 +23,7 @@ from ._silhouettes import Silhouettes as Silhouettes
 from ._silhouettes import light_sides as light_sides
 from ._silhouettes import silhouettes_by_adjacency as silhouettes_by_adjacency
 from ._surface import Surface, draw_surface
+from ._within_pixels import PixelPoints, points_within_pixels
 
 __all__ = [
     "NO_FACE",
@@ -33,6 +34,7 @@ __all__ = [
     "Cull",
     "DepthTest",
     "Fragments",
+    "PixelPoints",
     "Surface",
     "barycentrics",
     "count_fragments",
@@ -42,6 +44,7 @@ __all__ = [
     "interpolate_corners",
     "interpolate_depth",
     "plan_antialiasing",
+    "points_within_pixels",
     "rasterize",
     "rasterize_depth",
     "visible_depth",

@@ -107,12 +107,9 @@ class AntialiasedSurface(eqx.Module):
         return jnp.concatenate([image, filled.reshape(rest, width, *image.shape[2:])])
 
     def with_points_within(self, camera: AbstractCamera, count: int) -> Surface:
-        """`surface`, and above it so many points within each pixel, from which `mean_within` makes a mean.
-
-        A shadow's outline is narrower than a pixel where the texels of its map are. At centres alone, few pixels see
-        it, and derivatives by where it is are far off.
-        """
-        within = points_within_pixels(self.centres, camera, count)
+        """`surface`, and above it so many points within each pixel (see `points_within_pixels`), from which
+        `mean_within` makes a mean."""
+        within = points_within_pixels(self.centres, camera, count).surface
         return jax.tree.map(lambda *parts: jnp.concatenate(parts), self.surface, within)
 
     def mean_within(self, values: Float[Array, "y w"], count: int) -> Float[Array, "H w"]:

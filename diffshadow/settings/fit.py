@@ -19,7 +19,7 @@ PIXELS = 1 << 16
 BLUR = 3.0
 """The last standard deviation of a fit by default, in pixels."""
 MOST_SHADOW_POINTS = 1 << 20
-"""A fit to a picture looks up shadows at no more points within its pixels."""
+"""A fit of lights or meshes, or to a picture, looks up shadows at no more points within its pixels, by default."""
 # The largest standard deviation, as a fraction of the image's shorter side.
 _WIDEST = 1 / 8
 

@@ -21,10 +21,9 @@ from diffshadow.geometry import (
     rotation,
     translation,
 )
-from diffshadow.raster import AntialiasPlan, draw_antialiased, draw_surface, plan_antialiasing
+from diffshadow.raster import AntialiasPlan, draw_antialiased, draw_surface, plan_antialiasing, points_within_pixels
 from diffshadow.raster._antialias import _NEAR as NEAR
 from diffshadow.raster._boundaries import Boundaries, Pieces, find_creases
-from diffshadow.raster._within_pixels import points_within_pixels
 from diffshadow.shading import Phong
 
 SIDE = 48
@@ -264,7 +263,7 @@ def test_a_plan_that_is_too_small_is_an_error():
 def test_points_within_pixels_lie_in_them_and_on_what_is_seen_there():
     mesh, _ = scene("box")
     surface = draw_surface(mesh, view())
-    within = eqx.filter_jit(points_within_pixels)(surface, view(), 5)
+    within = eqx.filter_jit(points_within_pixels)(surface, view(), 5).surface
     moved = np.asarray(within.position).reshape(5, SIDE, SIDE, 3) - np.asarray(surface.position)
     np.testing.assert_allclose(np.sum(moved * np.asarray(surface.normal), axis=-1), 0, atol=1e-5)
     clip = np.c_[np.asarray(within.position).reshape(-1, 3), np.ones(5 * SIDE**2)] @ np.asarray(view().view().matrix).T
