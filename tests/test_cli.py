@@ -12,6 +12,7 @@ from scenes import marked
 
 import diffshadow.study
 from diffshadow.cli import main
+from diffshadow.cli._jax import join_processes
 from diffshadow.config import Config, load_config
 from diffshadow.console import WIDTH_OF_FILES, Console
 from diffshadow.study.runs._check import Checked
@@ -384,3 +385,17 @@ def test_help_and_mistakes_come_without_loading_jax(arguments, tmp_path):
     # Seconds of the processor, about 0.6 of which are needed: those of the clock depend on what else the machine does.
     spent = after.children_user + after.children_system - before.children_user - before.children_system
     assert spent < 1.5
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_of_several_processes_the_first_prints(number, monkeypatch, capsys):
+    import jax
+
+    monkeypatch.setattr(jax.distributed, "initialize", lambda: None)
+    monkeypatch.setattr(jax, "process_index", lambda: number)
+    monkeypatch.setattr(sys, "stdout", sys.stdout)
+    join_processes()
+    print("printed")
+    if number:
+        sys.stdout.close()
+    assert capsys.readouterr().out == ("" if number else "printed\n")

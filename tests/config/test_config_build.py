@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
 from diffshadow.config import (
     ConfigError,
@@ -38,12 +39,17 @@ def build(*overrides: str, text: str = TINY):
     return build_scene(parse_config(text, overrides))
 
 
+TURN = [30, 50, 20]
+
+
 def test_mesh_is_sized_dropped_scaled_turned_and_moved():
     text = "scene: {meshes: [{path: 'builtin:box', size: 2, drop_to_ground: true, scale: 0.5}]}"
     moved = build("scene.meshes.0.translate=[1, 2, 3]", "scene.meshes.0.rotate=[90, 0, 90]", text=text)
     # A unit cube on the ground; about x, up becomes +z; about z, +y becomes -x, and +z stays.
     assert np.allclose(moved.mesh.bounds, [[0.5, 1.5, 3], [1.5, 2.5, 4]], atol=1e-6)
     assert np.allclose(moved.mesh.corner_normals, face_normals(moved.mesh)[:, None], atol=1e-6)
+    plain, turned = (build(f"scene.meshes.0.rotate={angles}", text=text).mesh.vertices for angles in ([0] * 3, TURN))
+    np.testing.assert_allclose(turned, Rotation.from_euler("xyz", TURN, degrees=True).apply(plain), atol=1e-6)
 
 
 FAR = (6e5, -8e3, 3e6)

@@ -35,6 +35,9 @@ def test_what_is_found_is_written_out_and_repeats():
     assert len(config.notes) == 4
     assert config.scene.camera.eye is not None
     assert config.scene.meshes[1].path == "builtin:plane"
+    # The box stands on y = 0.
+    assert config.scene.meshes[1].translate[1] == pytest.approx(0, abs=1e-6)
+    assert 0 < config.scene.camera.target[1] < 1
     assert config.scene.ground is None
     again = parse_config(dump_resolved(config))
     assert again == config
@@ -67,6 +70,7 @@ def test_z_up_is_what_the_camera_says():
     assert config.scene.light.direction == pytest.approx((x, -z, y), abs=1e-5)
     plane = build_scene(config).meshes[1]
     assert np.ptp(np.asarray(plane.vertices)[:, 2]) == pytest.approx(0, abs=1e-5)
+    np.testing.assert_allclose(plane.corner_normals[0, 0], (0, 0, 1), atol=1e-5)
 
 
 def test_views_share_the_camera_unless_they_place_it():

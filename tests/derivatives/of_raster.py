@@ -256,6 +256,13 @@ def _():
         mesh, camera, view, clip = moved(x)
         found = _boundaries(clip, mesh.faces, edges, creases, "none", at_centres, at_corners)
         seen, _ = _antialiased(mesh, camera.eye, _Seen(view, clip, at_centres, at_corners, *found), edges, 128, 32)
-        return seen.resolve(seen.surface.albedo)
+        # The points on both sides of lines follow the lines.
+        count = seen.pixel.shape[0]
+        sides = lambda values: values[12:].reshape(2, -1, *values.shape[2:])[:, :count]
+        place = view.clip(sides(seen.surface.position))
+        left, right = (place[..., :2] / place[..., 3:] + 1) * jnp.asarray([10.0, 6.0])
+        far = _from_centre(seen.pixel, (left + right) / 2, normalize(right - left), 20)
+        far = jnp.where(jnp.all(sides(seen.surface.mask), axis=0), far, 0)
+        return seen.resolve(seen.surface.albedo), jnp.zeros(241).at[seen.pixel].add(far)
 
     return of

@@ -88,7 +88,7 @@ def test_fit_recovers_known_values(solver, known, results):
     assert result.fitted["bias.constant"] == pytest.approx(0.8, abs=slack)
     before, after = (float(known.mean_square_error(t)) for t in (disk(), result.technique))
     assert after < 0.1 * before
-    assert result.flat == []
+    assert (result.flat, result.arrangement) == ([], None)
 
 
 def test_what_on_step_raises_ends_the_fit_and_the_next_one_is_the_same(known, results, capfd):

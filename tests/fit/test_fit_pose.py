@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import lineax as lx
 import numpy as np
 import optimistix as optx
 import pytest
@@ -37,6 +38,8 @@ from diffshadow.fit._starts import starts_within
 from diffshadow.fit.problems import Joint, blurs_of
 from diffshadow.fit.solvers import Adam, LevenbergMarquardt, Stop
 from diffshadow.fit.solvers._adam import _Descent
+from diffshadow.fit.solvers._levenberg_marquardt import NielsenDamping
+from diffshadow.fit.solvers._levenberg_marquardt import _State as NielsenState
 from diffshadow.geometry import (
     DirectionalLight,
     Edges,
@@ -403,6 +406,27 @@ def test_adam_finds_the_bottom_of_a_valley():
     np.testing.assert_allclose(found.value, [0.3, -0.2], atol=1e-3)
     assert len(reports) >= 1
     assert all(told == {"loss_this_step", "y"} for told in reports)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.1])
+def test_damping_follows_nielsens_formula(noise):
+    """Of the residual y², from 1 to y, where the model is 1 + 2 (y - 1)."""
+    damping = NielsenDamping(noise)
+    info = lambda y: optx.FunctionInfo.ResidualJac(y[None] ** 2, lx.MatrixLinearOperator(2 * y[None, None]))
+    start, state = jnp.asarray(1.0), NielsenState(jnp.asarray(0.3), jnp.asarray(4.0))
+    for y in (0.8, 0.6, 0.4, -0.2, 1.2):
+        given = start, jnp.asarray(y), info(start), info(jnp.asarray(y)), state
+        size, accepted, _, after = damping.step(jnp.asarray(False), *given)
+        change = lambda end: noise / 2 + (1 - end**2) / 2
+        model, rise = change(2 * y - 1), change(y**2)
+        assert bool(accepted) == (model > 0 and rise > 0)
+        slower = max(1 / 3, 1 - (2 * rise / model - 1) ** 3)
+        np.testing.assert_allclose(size, 0.3 / (slower if accepted else 4), rtol=1e-5)
+        np.testing.assert_allclose(after.shrink, 2 if accepted else 8)
+        # The first step is taken as it is.
+        size, accepted, _, _ = damping.step(jnp.asarray(True), *given)
+        assert accepted
+        np.testing.assert_allclose(size, 1 / (0.01 * 4 * y**2), rtol=1e-5)
 
 
 def test_levenberg_marquardt_ends_where_the_loss_is_least_at_a_jump():

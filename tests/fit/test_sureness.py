@@ -215,7 +215,7 @@ class Trade(Run):
     """False shadow (1 - x)² and false light x², between which a fit chooses x by their weights."""
 
     def __init__(self):
-        self.parameters, self.tried = Parameters.of([Parameter("x", 0.5, 0.0, 1.0)]), {}
+        self.parameters, self.tried, self.settled = Parameters.of([Parameter("x", 0.5, 0.0, 1.0)]), {}, set()
 
     def errors(self, x):
         return 1 - x, x
@@ -229,7 +229,9 @@ class Trade(Run):
 
     def refitted(self, values, kept, *, ratio=1.0, least_gain=0.0):
         # √r (1 - x)² + x² / √r is least here.
-        return (ratio / (1 + ratio),)
+        end = (ratio / (1 + ratio),)
+        self.settled |= {values, end}
+        return end
 
 
 class Stuck(Trade):
@@ -252,6 +254,8 @@ def test_a_front_is_what_weighted_sums_make_least():
     front = front_of(trade, (0.5,), 9)
     assert said == [f"front, setting {number}" for number in range(1, len(trade.tried) + 1)]
     assert len(front) == 9
+    # No setting that was only tried is left: fits began or ended at each.
+    assert {point.values for point in front} <= trade.settled
     shadow, light = ([getattr(point, side) for point in front] for side in ("false_shadow", "false_light"))
     assert shadow == sorted(shadow)
     assert light == sorted(light, reverse=True)

@@ -8,6 +8,7 @@ from scenes import marked
 
 from diffshadow import geometry
 from diffshadow.geometry import _ground as ground
+from diffshadow.geometry._framing import sun_for
 
 LENS = geometry.Lens((math.tan(math.radians(20)),) * 2)
 WIDE = geometry.Lens((math.tan(math.radians(35)),) * 2)
@@ -151,3 +152,12 @@ def test_angles_turn_as_their_matrix_does():
             axis=(0, 1),
         )
         assert np.allclose(about(z, 2) @ about(y, 1) @ about(x, 0), turn, atol=1e-6)
+
+
+@pytest.mark.parametrize(("tall", "elevations"), [(0.01, {20}), (0.4, {30, 32}), (5.0, {50})])
+def test_a_sun_that_is_found_stands_lower_for_flat_casters(tall, elevations):
+    """Its shadow is half as long as the caster is wide, 1.37 or 1.28 by azimuth, within 20 to 50 degrees."""
+    samples = np.stack(np.meshgrid(*[np.linspace(-0.5, 0.5, 12)] * 3), axis=-1).reshape(-1, 3) * [1, tall, 1]
+    azimuth, elevation = sun_for(samples, -tall / 2)
+    assert elevation in elevations
+    assert abs(azimuth) in (20, 60, 120, 160)

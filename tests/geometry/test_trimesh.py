@@ -31,10 +31,10 @@ MIRROR = np.diag([-2.0, 1.0, 1.0, 1.0])
 
 
 def two_boxes():
-    """A box, and its mirror image twice as wide, ten units up."""
+    """A box, and its mirror image twice as wide, turned from +y to +z, ten units up."""
     scene = trimesh.Scene()
     scene.add_geometry(library_mesh("box").to_trimesh(), geom_name="box", node_name="first")
-    twin = MIRROR.copy()
+    twin = trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]) @ MIRROR
     twin[1, 3] = 10
     scene.graph.update(frame_to="twin", matrix=twin, geometry="box")
     return scene
@@ -102,7 +102,7 @@ def test_split_vertices_are_welded_and_own_normals_are_taken_if_asked_for():
 def test_a_scene_has_a_mesh_for_each_node_where_its_graph_puts_it():
     scene = Scene(two_boxes(), CAMERA, LIGHT, casts=(True, False))
     assert len(scene.meshes) == 2
-    np.testing.assert_allclose(scene.meshes[1].bounds, [[-1, 10, -0.5], [1, 11, 0.5]], atol=1e-6)
+    np.testing.assert_allclose(scene.meshes[1].bounds, [[-1, 9.5, 0], [1, 10.5, 1]], atol=1e-6)
     # A mirror reverses the winding, or the volume would count negative.
     assert [volume(mesh) for mesh in scene.meshes] == pytest.approx([1, 2])
     assert volume(Mesh.from_trimesh(two_boxes())) == pytest.approx(3)
@@ -117,7 +117,9 @@ def test_a_scene_brings_its_camera_and_its_lights():
         Scene(given)
     camera = trimesh.scene.Camera(name="eye", resolution=(64, 32), fov=(60, 40), z_near=0.5, z_far=50)
     given.camera = camera
-    given.camera_transform = trimesh.transformations.translation_matrix([0, 1, 20])
+    # From -z to -x, and on its side.
+    turn = [trimesh.transformations.rotation_matrix(np.pi / 2, axis) for axis in ([0, 1, 0], [0, 0, 1])]
+    given.camera_transform = trimesh.transformations.translation_matrix([0, 1, 20]) @ turn[0] @ turn[1]
     with pytest.raises(ValueError, match="the scene has no light"):
         Scene(given)
     lighting = trimesh.scene.lighting
@@ -131,7 +133,8 @@ def test_a_scene_brings_its_camera_and_its_lights():
         pose[:3, 3] = [0, 30, 0]
         given.graph.update(frame_to=name, matrix=pose)
     scene = Scene(given)
-    np.testing.assert_allclose([*scene.camera.eye, *scene.camera.target], [0, 1, 20, 0, 1, 19], atol=1e-6)
+    np.testing.assert_allclose([*scene.camera.eye, *scene.camera.target], [0, 1, 20, -1, 1, 20], atol=1e-6)
+    np.testing.assert_allclose(scene.camera.view().world_to_eye[1, :3], [0, 0, 1], atol=1e-6)
     assert scene.camera.resolution == (32, 64)
     assert (float(scene.camera.fov_y), float(scene.camera.near), float(scene.camera.far)) == (40, 0.5, 50)
     sun, bulb, spot = scene.lights

@@ -354,6 +354,11 @@ def uneven_instances(builder: Builder) -> None:
     attributes["SCALE"] = builder.add(np.ones((3, 3), np.float32))
 
 
+def instances_of_no_accessor(builder: Builder) -> None:
+    instanced(builder)
+    builder.tree["nodes"][0]["extensions"]["EXT_mesh_gpu_instancing"]["attributes"]["SCALE"] = -1
+
+
 def countless_instances(builder: Builder) -> None:
     instanced(builder)
     sparse = {
@@ -378,6 +383,7 @@ def zeros(builder: Builder) -> None:
 REFUSALS = {
     "draco_damaged": (draco_damaged, "compressed triangles cannot be decoded"),
     "draco_without_data": (draco_without_data, "KHR_draco_mesh_compression has no bufferView"),
+    "instances_of_no_accessor": (instances_of_no_accessor, "the SCALE of its instances is '-1'; expected an accessor"),
     "meshopt": (meshopt, "stores triangles with EXT_meshopt_compression"),
     "meshopt_required": (required("EXT_meshopt_compression"), "requires EXT_meshopt_compression"),
     "unknown_extension": (required("ACME_new_triangles"), "requires ACME_new_triangles"),

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
-from gltf_scene import gltf
+from gltf_scene import TRIANGLE, gltf
 
 from diffshadow import io
 from diffshadow.geometry import (
@@ -142,3 +142,15 @@ def test_extras_of_others_are_left_alone(tmp_path):
         content["nodes"][0]["extras"] = extras
         (tmp_path / "scene.gltf").write_text(json.dumps(content))
         assert io.read_scene(tmp_path / "scene.gltf").meshes[0].casts
+
+
+def test_a_part_without_normals_has_those_of_its_faces(tmp_path):
+    document = gltf()
+    document["meshes"].append({"primitives": [{"attributes": {"POSITION": 0}}]})
+    document["nodes"].append({"mesh": 1, "translation": [0, 0, 5]})
+    (tmp_path / "both.gltf").write_text(json.dumps(document))
+    mesh = io.load_mesh(tmp_path / "both.gltf", None)
+    # The first node turns -z to +y.
+    np.testing.assert_allclose(mesh.corner_normals, np.repeat([[[0, -1, 0]], [[0, 0, 1]]], 3, axis=1), atol=1e-6)
+    corners = np.asarray(mesh.vertices)[np.asarray(mesh.faces)]
+    np.testing.assert_allclose((corners[1] - (0, 0, 5)).reshape(-1), TRIANGLE, atol=1e-6)

@@ -169,9 +169,10 @@ def test_unfit_images_are_refused(metric):
 
 
 @pytest.mark.parametrize("rate", [false_shadow_rate, false_light_rate, measure_errors])
-def test_negative_band_is_refused(rate):
-    with pytest.raises(ValueError, match="band is -1"):
-        rate(edge(), edge(), band=-1)
+@pytest.mark.parametrize("band", [-1, True])
+def test_bands_that_are_no_number_of_pixels_are_refused(rate, band):
+    with pytest.raises(ValueError, match=f"band is {band}"):
+        rate(edge(), edge(), band=band)
 
 
 def test_overlap_of_shadows_counts_dark_pixels():

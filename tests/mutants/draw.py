@@ -4,6 +4,7 @@ import ast
 import random
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,21 +22,19 @@ _OTHERS = (
 class Mutant(NamedTuple):
     """A change that an operator makes at one place.
 
-    - `file`: below `diffshadow/`; `name`: the line, before and after; `source`: the whole file after it.
-    - `tests`: files of tests that mirror the module.
+    `file`: below `diffshadow/`; `name`: the line, before and after; `source`: the whole file after it.
     """
 
     file: str
     name: str
     source: str
-    tests: tuple[str, ...]
 
     def changed(self, before: str) -> str | None:
         """The file with the change, given the file without; none if it does not apply."""
         return self.source if self.source != before else None
 
 
-def draw(package: Path, tests: Path, files: Sequence[Path], count: int, seed: int) -> Iterator[Mutant]:
+def draw(package: Path, files: Sequence[Path], count: int, seed: int) -> Iterator[Mutant]:
     """`count` mutants of `files` at as many places, each drawn uniformly; all places if there are fewer.
 
     An operator of those that suit a place is drawn uniformly, too.
@@ -43,20 +42,21 @@ def draw(package: Path, tests: Path, files: Sequence[Path], count: int, seed: in
     rng = random.Random(seed)
     sources = {file: file.read_text(encoding="utf-8") for file in sorted(files)}
     places = [(file, place, ways) for file, source in sources.items() for place, ways in _places(source)]
-    for file, (begin, _), ways in rng.sample(places, min(count, len(places))):
-        before, after = sources[file], _mutated(sources[file], *rng.choice(ways))
-        number, first, second = _first_difference(before, after, begin[0])
-        relative = file.relative_to(package)
-        name = f"line {number}: {first.strip()} -> {second.strip()}"
-        yield Mutant(str(relative), name, after, mirrors(relative, tests))
+    drawn = (
+        _mutant(package, file, sources[file], *rng.choice(ways)) for file, _, ways in rng.sample(places, len(places))
+    )
+    return islice(filter(None, drawn), count)
 
 
-def mirrors(module: Path, tests: Path) -> tuple[str, ...]:
-    """The test files for a module, below `tests`: the files with its name, or all files in its folder."""
-    stem, folder = module.stem.strip("_"), tests / module.parts[0].removesuffix(".py")
-    named = sorted(tests.rglob(f"test_{stem}.py"))
-    found = named or sorted(folder.glob("**/test_*.py")) or sorted(tests.glob(f"test_{module.parts[0].strip('_')}*"))
-    return tuple(str(path.relative_to(tests)) for path in found)
+def _mutant(package: Path, file: Path, before: str, operator: str, occurrence: int) -> Mutant | None:
+    """None where an operator takes a star for a product and leaves no Python."""
+    after = _mutated(before, operator, occurrence)
+    try:
+        ast.parse(after)
+    except SyntaxError:
+        return None
+    number, first, second = first_difference(before, after)
+    return Mutant(str(file.relative_to(package)), f"line {number}: {first.strip()} -> {second.strip()}", after)
 
 
 def _places(source: str) -> list[tuple[Place, list[tuple[str, int]]]]:
@@ -69,8 +69,10 @@ def _places(source: str) -> list[tuple[Place, list[tuple[str, int]]]]:
     for name in _operators():
         operator, number = get_operator(name)(), 0
         for node in nodes:
+            # The star of a signature is no product.
+            is_star = node.parent is not None and node.parent.type in ("parameters", "param")
             for begin, end in operator.mutation_positions(node):
-                if not any(low <= begin < high for low, high in left_out):
+                if not is_star and not any(low <= begin < high for low, high in left_out):
                     found[begin, end].append((name, number))
                 number += 1
     return sorted(found.items())
@@ -112,9 +114,7 @@ def _left_out(source: str) -> list[Place]:
     return found
 
 
-def _first_difference(before: str, after: str, line: int) -> tuple[int, str, str]:
-    """Number and texts of the first line that differs, or of `line`."""
-    for number, (one, other) in enumerate(zip(before.splitlines(), after.splitlines(), strict=False), start=1):
-        if one != other:
-            return number, one, other
-    return line, before.splitlines()[line - 1], after.splitlines()[line - 1]
+def first_difference(before: str, after: str) -> tuple[int, str, str]:
+    """Number and texts of the first line that differs."""
+    pairs = enumerate(zip(before.splitlines(), after.splitlines(), strict=False), start=1)
+    return next((number, one, other) for number, (one, other) in pairs if one != other)

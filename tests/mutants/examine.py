@@ -3,9 +3,11 @@
 make mutants                                        200 mutants of the whole package, drawn with seed 0
 make mutants PATHS="diffshadow/fit" SAMPLE=50 SEED=7    50 of some files or folders
 make mutants ARGS="--kept"                          the mistakes of kept.yaml, which no operator makes
+make mutants PATHS=diffshadow/fit ARGS=--missing    the lines and branches that no everyday test enters
 
-The tests that mirror a module run first, and the whole everyday suite runs for what they miss. The last lines list the
-survivors and give the score.
+Which everyday tests enter each line is measured first, once for each state of a file: that takes longer than the tests
+do. Then the tests that enter a mistake's line run, the cheapest first. The last lines list the survivors and give the
+score.
 """
 
 import argparse
@@ -26,11 +28,13 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from draw import Mutant, draw
+from draw import Mutant, draw, first_difference
+from entered import PACKAGE, Measured, measured, print_missing, tests_of
 from kept import KEPT, Kept
 
 ROOT = Path(__file__).resolve().parents[2]
-PACKAGE = "diffshadow"
+CACHE = ROOT / ".cache" / "mutants"
+"""What tests enter, as measured; ignored by git."""
 LIBRARIES = (
     "OpenEXR",
     "PIL.Image",
@@ -53,8 +57,8 @@ LIBRARIES = (
     "scipy.stats",
 )
 """What is loaded once for all runs of tests; none of them may import the package."""
-_HANGS = 1800
-"""Seconds after which tests count as hanging."""
+_HANGS = 60, 3
+"""Tests hang that take more seconds than the first and the second times what they take without a mistake."""
 # Libraries are loaded before pytest could rewrite their assertions.
 _IGNORED = "ignore::pytest.PytestAssertRewriteWarning"
 _OPTIONS = ["-n", "0", "-x", "-q", "-p", "no:cacheprovider", "--tb", "no", "-W", _IGNORED]
@@ -77,6 +81,15 @@ class Verdict(NamedTuple):
     def __str__(self) -> str:
         by = self.what and f" ({self.what})"
         return f"{self.mistake.file}: {self.mistake.name}: {self.verdict}{by}, {self.seconds:.0f} s"
+
+
+class _Run(NamedTuple):
+    """How pytest ended: its code, none if it had to be killed, the tests that failed, seconds of each, and output."""
+
+    code: int | None
+    failed: list[str]
+    seconds: dict[str, float]
+    output: str
 
 
 class Copy:
@@ -104,8 +117,9 @@ class Copy:
         if done.returncode != 0 or not Path(found).is_relative_to(self.root):
             raise RuntimeError(f"Python imports {found!r} in {self.root}; expected the package that lies there")
 
-    def examine(self, mistake: Mistake, marks: str, whole: bool) -> Verdict:
-        """What the mistake's tests, or else the `whole` suite, make of it; the file is then as before."""
+    def examine(self, mistake: Mistake, entered: Sequence[Measured], budget: float, whole: bool) -> Verdict:
+        """What `budget` seconds of the tests that enter the mistake's line, or else the `whole` everyday suite, make of
+        it; the file is then as before."""
         began = time.perf_counter()
         judged = lambda verdict, what="": Verdict(mistake, verdict, what, time.perf_counter() - began)
         file = self.root / PACKAGE / mistake.file
@@ -113,18 +127,23 @@ class Copy:
         after = mistake.changed(before)
         if after is None:
             return judged(NOT_THERE, "its text is not in its place exactly once")
+        line = first_difference(before, after)[0]
+        tests = tests_of(entered, f"{PACKAGE}/{mistake.file}", before, line, budget)
+        verdict, what = MISSED, "no test enters it"
         try:
             self._write(file, after)
-            verdict, what = self._tested(mistake, marks, self._files(mistake))
+            if tests:
+                verdict, what = self._tested(mistake, tests)
             if verdict == MISSED and whole:
-                verdict, what = self._tested(mistake, marks, ["tests"])
+                verdict, what = self._tested(mistake, {name: s for each in entered for name, s in each.seconds.items()})
         finally:
             self._write(file, before)
         return judged(verdict, what)
 
-    def failing(self, tests: Sequence[str]) -> set[str]:
-        """Those of `tests` that fail without any fault."""
-        return set(self._pytest("--maxfail", "0", "-m", "", *tests)[1])
+    def seconds(self, *arguments: str) -> dict[str, float]:
+        """What pytest's tests take that pass, by their identifiers."""
+        done = self._pytest(*arguments)
+        return {name: seconds for name, seconds in done.seconds.items() if name not in done.failed}
 
     def kill(self) -> None:
         """Ends the tests that run, and the process that they are forks of; from any thread."""
@@ -140,27 +159,24 @@ class Copy:
             self._forks.communicate()
             self._forks = None
 
-    def _files(self, mistake: Mistake) -> list[str]:
-        found = (path for name in mistake.tests for path in (self.root / "tests").rglob(name))
-        return [str(path.relative_to(self.root)) for path in found]
-
-    def _tested(self, mistake: Mistake, marks: str, files: Sequence[str]) -> tuple[str, str]:
-        code, failed, said = self._pytest("-m", marks, *files)
+    def _tested(self, mistake: Mistake, tests: dict[str, float]) -> tuple[str, str]:
+        code, failed, _, said = self._pytest(*tests, limit=_HANGS[0] + _HANGS[1] * sum(tests.values()))
         if code is None:
             return HANGS, ""
         if code < 0:
             return CRASHES, f"signal {-code}"
         if code == 0:
-            return MISSED, ", ".join(files)
-        if code == 1 and failed:
+            return MISSED, f"{len(tests)} tests"
+        # Or a file of tests could not be imported.
+        if failed:
             return CAUGHT, failed[0]
         module = f"{PACKAGE}/{mistake.file}".removesuffix(".py").removesuffix("/__init__").replace("/", ".")
         if self._python(f"import {module}").returncode != 0:
             return AT_IMPORT, ""
         return UNKNOWN, f"pytest ended with {code}: {said.strip().rpartition(chr(10))[2]}"
 
-    def _pytest(self, *arguments: str) -> tuple[int | None, list[str], str]:
-        """Exit code, none if it had to be ended, the tests that failed, and output."""
+    def _pytest(self, *arguments: str, limit: float = 3600) -> _Run:
+        """Pytest with some arguments, ended after `limit` seconds."""
         if self._forks is None:
             program = [sys.executable, str(Path(__file__).with_name("forks.py")), *LIBRARIES]
             pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
@@ -169,20 +185,20 @@ class Copy:
             )
         forks, output = self._forks, self.root.with_name(f"{self.root.name}.txt")
         asked = json.dumps([str(output), *_OPTIONS, *arguments])
-        limit = threading.Timer(_HANGS, self.kill)
-        limit.start()
+        timer = threading.Timer(limit, self.kill)
+        timer.start()
         try:
             print(asked, file=forks.stdin, flush=True)
             answer = forks.stdout.readline()
         finally:
-            limit.cancel()
+            timer.cancel()
         if not answer:
             self.close()
-            return None, [], ""
-        failed = output.with_suffix(".failed")
-        names = json.loads(failed.read_text()) if failed.exists() else []
-        failed.unlink(missing_ok=True)
-        return int(answer), names, output.read_text(encoding="utf-8", errors="replace")
+            return _Run(None, [], {}, "")
+        tests = output.with_suffix(".tests")
+        seconds, failed = json.loads(tests.read_text()) if tests.exists() else ({}, [])
+        tests.unlink(missing_ok=True)
+        return _Run(int(answer), failed, seconds, output.read_text(encoding="utf-8", errors="replace"))
 
     def _python(self, program: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
@@ -196,7 +212,7 @@ class Copy:
 
 
 def examined(
-    mistakes: Sequence[Mistake], workers: int, marks: str, whole: bool, root: Path = ROOT
+    mistakes: Sequence[Mistake], workers: int, entered: Sequence[Measured], budget: float, whole: bool
 ) -> Iterator[Verdict]:
     """The verdict on each mistake, as they come, from so many copies at once."""
     waiting: queue.SimpleQueue[Mistake] = queue.SimpleQueue()
@@ -209,7 +225,7 @@ def examined(
         try:
             copy.check_import()
             while not stopped.is_set():
-                done.put(copy.examine(waiting.get_nowait(), marks, whole))
+                done.put(copy.examine(waiting.get_nowait(), entered, budget, whole))
         except queue.Empty:
             pass
         except BaseException as error:
@@ -218,7 +234,7 @@ def examined(
             copy.close()
 
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
-        copies = [Copy(root, Path(folder).resolve() / str(i)) for i in range(min(workers, len(mistakes)))]
+        copies = [Copy(ROOT, Path(folder).resolve() / str(i)) for i in range(min(workers, len(mistakes)))]
         threads = [threading.Thread(target=work, args=(copy,), daemon=True) for copy in copies]
         try:
             for thread in threads:
@@ -236,29 +252,6 @@ def examined(
                 thread.join()
 
 
-def confirmed(verdicts: Sequence[Verdict], root: Path = ROOT) -> list[Verdict]:
-    """The verdicts, but none where the test that caught a mistake fails without it too."""
-    tests = sorted({each.what for each in verdicts if each.verdict == CAUGHT})
-    if not tests:
-        return list(verdicts)
-    with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
-        copy = Copy(root, Path(folder).resolve() / "clean")
-        try:
-            failing = copy.failing(tests)
-        finally:
-            copy.close()
-    doubtful = lambda each: each.verdict == CAUGHT and each.what in failing
-    return [each._replace(verdict=UNKNOWN) if doubtful(each) else each for each in verdicts]
-
-
-def _without_doubt(verdicts: list[Verdict]) -> list[Verdict]:
-    sure = confirmed(verdicts)
-    for before, after in zip(verdicts, sure, strict=True):
-        if after != before:
-            print(f"{after.what} fails without {after.mistake.name!r} too: that counts for nothing")
-    return sure
-
-
 def _drawn(paths: Sequence[str], count: int, seed: int) -> list[Mutant]:
     files = [
         file for path in paths for file in ([ROOT / path] if path.endswith(".py") else (ROOT / path).rglob("*.py"))
@@ -266,9 +259,18 @@ def _drawn(paths: Sequence[str], count: int, seed: int) -> list[Mutant]:
     if not files:
         sys.exit(f"{' '.join(paths)}: no Python files; expected files or folders of {PACKAGE}/, such as {PACKAGE}/fit")
     try:
-        return list(draw(ROOT / PACKAGE, ROOT / "tests", files, count, seed))
+        return list(draw(ROOT / PACKAGE, files, count, seed))
     except ModuleNotFoundError as error:
         sys.exit(f"{error}; expected cosmic-ray: run make mutants, which installs it")
+
+
+def _entered() -> list[Measured]:
+    with (
+        tempfile.TemporaryDirectory(prefix="mutants-") as folder,
+        contextlib.closing(Copy(ROOT, Path(folder).resolve() / "0")) as copy,
+    ):
+        copy.check_import()
+        return list(measured(copy.root, CACHE, copy.seconds))
 
 
 def main() -> None:
@@ -278,21 +280,25 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the draw")
     parser.add_argument("--kept", action="store_true", help="the mistakes of kept.yaml in place of mutants")
     parser.add_argument("--list", action="store_true", help="only list them")
-    parser.add_argument("--all", action="store_true", help="run exhaustive tests too")
-    parser.add_argument("--mirrors", action="store_true", help="run only the tests that mirror a module")
+    parser.add_argument("--missing", action="store_true", help="only print what no everyday test enters")
+    parser.add_argument("--budget", type=float, default=60, metavar="S", help="seconds of tests for each")
+    parser.add_argument("--whole", action="store_true", help="run the whole everyday suite for what they miss")
     parser.add_argument("--workers", type=int, default=2, metavar="N", help="copies that work at once")
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write all verdicts to this file")
     asked = parser.parse_args()
+    if asked.missing:
+        print_missing(_entered(), asked.paths)
+        return
     mistakes = list(KEPT) if asked.kept else _drawn(asked.paths, asked.sample, asked.seed)
     if asked.list:
-        print(*(f"{each.file}: {each.name} ({', '.join(each.tests)})" for each in mistakes), sep="\n")
+        print(*(f"{each.file}: {each.name}" for each in mistakes), sep="\n")
         return
+    entered = _entered()
     verdicts: list[Verdict] = []
     try:
-        for verdict in examined(mistakes, asked.workers, "" if asked.all else "not exhaustive", not asked.mirrors):
+        for verdict in examined(mistakes, asked.workers, entered, asked.budget, asked.whole):
             verdicts.append(verdict)
             print(f"[{len(verdicts)}/{len(mistakes)}] {verdict}", flush=True)
-        verdicts = _without_doubt(verdicts)
     except KeyboardInterrupt:
         print("interrupted")
     if asked.json is not None:

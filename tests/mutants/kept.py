@@ -13,7 +13,6 @@ class Kept(NamedTuple):
 
     - `file`: below `diffshadow/`; `name`: in a few words; `function`: the function or class that it lies in.
     - `old`: text that stands there exactly once; `new`: what takes its place.
-    - `tests`: files of tests that are likely to see it, the likeliest first, by name wherever they lie.
     """
 
     file: str
@@ -21,7 +20,6 @@ class Kept(NamedTuple):
     function: str
     old: str
     new: str
-    tests: tuple[str, ...]
 
     def changed(self, before: str) -> str | None:
         """The file with the mistake, given the file without; none if it does not apply."""
@@ -51,7 +49,7 @@ def _read() -> Iterator[Kept]:
     listed = Path(__file__).with_name("kept.yaml")
     for file, mistakes in yaml.safe_load(listed.read_text(encoding="utf-8")).items():
         for each in mistakes:
-            yield Kept(file, each["name"], each["function"], each["old"], each["new"], tuple(each["tests"].split()))
+            yield Kept(file, each["name"], each["function"], each["old"], each["new"])
 
 
 KEPT = tuple(_read())

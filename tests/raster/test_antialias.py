@@ -81,19 +81,27 @@ def mean_error(image, goal):
 
 @eqx.filter_jit
 def colours(mesh, planned):
-    """The mean albedo over each pixel."""
+    """The mean albedo over each pixel, and the pixels of lines and the points on both sides of them."""
     seen = draw_antialiased(mesh, FRONT, planned)
-    return seen.resolve(seen.surface.albedo)[..., 0]
+    count = seen.pixel.shape[0]
+    sides = lambda values: values[SIDE:].reshape(2, -1, *values.shape[2:])[:, :count]
+    return seen.resolve(seen.surface.albedo)[..., 0], seen.pixel, sides(seen.surface.position), sides(seen.surface.mask)
 
 
-def coverage(*quads):
-    """Quads before nothing, from center, right, up and a grey: the mean grey of each pixel."""
+def drawn(*quads):
+    """`colours` of quads before nothing, from center, right, up and a grey."""
     meshes = [eqx.tree_at(lambda m: m.albedo, quad(*place), jnp.full((2, 3), grey)) for *place, grey in quads]
     mesh = merge(meshes)
     planned = plan_antialiasing(mesh, FRONT)
     assert planned.pieces <= 1024
     # One program for all.
-    return np.asarray(colours(mesh.padded(), AntialiasPlan(planned.edges, planned.creases, 1024, 256)))
+    plan = AntialiasPlan(planned.edges, planned.creases, 1024, 256)
+    return [np.asarray(found) for found in colours(mesh.padded(), plan)]
+
+
+def coverage(*quads):
+    """The mean grey of each pixel."""
+    return drawn(*quads)[0]
 
 
 class TestArea:
@@ -109,10 +117,21 @@ class TestArea:
         np.testing.assert_allclose(image, along[1][:, None] * along[0], atol=2e-5)
 
     def test_of_a_turned_quad_adds_up(self):
-        image = coverage(((0.03, 0.01, 0), (0.5, 0.2, 0), (-0.12, 0.3, 0), 1.0))
+        image, pixel, beside, mask = drawn(((0.03, 0.01, 0), (0.5, 0.2, 0), (-0.12, 0.3, 0), 1.0))
         np.testing.assert_array_less(np.abs(image - 0.5), 0.5 + 1e-4)
         # Four times the determinant, in pixels.
         np.testing.assert_allclose(image.sum(), 4 * (0.5 * 0.3 + 0.2 * 0.12) * 24**2, rtol=1e-4)
+        # Its outline is shaded a quarter of a pixel inside, near the outline's pixel.
+        side = np.stack([pixel % SIDE, pixel // SIDE], axis=-1)
+        place = 24 + 24 * beside[..., :2][mask]
+        away = place - np.broadcast_to(side + 0.5, (*mask.shape, 2))[mask]
+        assert len(away) > 60
+        assert np.abs(away).max() < 0.75 + 1e-3
+        turn = np.linalg.inv(24 * np.array([[0.5, -0.12], [0.2, 0.3]]))
+        inside = (1 - np.abs((place - 24 - 24 * np.array([0.03, 0.01])) @ turn.T)) / np.linalg.norm(turn, axis=1)
+        assert inside.min() > -1e-3
+        # But at its corners, where lines end.
+        assert np.mean(np.abs(inside.min(axis=1) - 0.25) < 2e-3) > 0.9
 
     def test_of_a_strip_between_pixel_centres_is_not_lost(self):
         # A tenth of a pixel wide, and nowhere at a centre.

@@ -52,7 +52,6 @@ def test_depths_are_the_same_under_vmap(clips, faces, in_bands):
     np.testing.assert_allclose(found, whole(clips, faces).depth, rtol=0, atol=depth_rounding())
 
 
-@pytest.mark.exhaustive
 def test_faces_and_depths_are_the_same_in_viewports(clips, faces, in_bands):
     viewports = jnp.array([[47, 90], RESOLUTION])
     bands = jax.jit(lambda clips, viewports: rasterize(clips, faces, RESOLUTION, viewports=viewports))

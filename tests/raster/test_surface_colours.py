@@ -21,6 +21,8 @@ from diffshadow.geometry import (
 )
 from diffshadow.raster import draw_antialiased, draw_surface
 from diffshadow.raster._boundaries import find_creases
+from diffshadow.raster._interpolate import Points, by_bands
+from diffshadow.raster._surface import passes_at_points
 
 RESOLUTION = (24, 32)
 CAMERA = PinholeCamera((0.7, 0.5, 2.2), (0, 0, 0), near=0.5, far=5.0, resolution=RESOLUTION)
@@ -125,6 +127,18 @@ def test_merged_meshes_keep_their_textures_and_padding_adds_none():
     np.testing.assert_allclose(colours, np.concatenate([np.ones((2, 3, 3)), COLOURS]), rtol=1e-6)
 
 
+def test_faces_of_one_texture_follow_those_of_another():
+    first, second = (
+        Textures.of(IMAGE, RANDOM.uniform(size=(n, 3, 2)), 0.5, corner_alpha=np.full((n, 3), n / 4)) for n in (1, 3)
+    )
+    second = dataclasses.replace(second, index=jnp.asarray([0, NO_TEXTURE, 0]))
+    both = first.followed_by(second)
+    for part in ("uv", "index", "corner_alpha"):
+        expected = np.concatenate([getattr(first, part), getattr(second, part)])
+        np.testing.assert_array_equal(getattr(both, part), expected)
+    np.testing.assert_array_equal(both.texels, first.texels)
+
+
 def test_a_mirror_keeps_colours_at_their_corners():
     mesh = textured(corner_colours=COLOURS)
     mirrored = mesh.transformed(scaling(jnp.array([1.0, 1.0, -1.0])))
@@ -156,6 +170,36 @@ def test_creases_are_where_textures_and_colours_end_and_not_where_they_continue(
     shared = np.array([[(1, 0, 0), (0, 1, 0), (0, 0, 1)], [(1, 0, 0), (0, 0, 1), (1, 1, 1)]], float)
     assert creases(textured(corner_colours=shared)) == 0
     assert creases(textured(corner_colours=shared[:, ::-1])) == 1
+
+
+def test_the_alpha_test_of_points_is_that_of_their_texels():
+    mesh = textured()
+    uv, rng = np.asarray(mesh.textures.uv) / np.array(REPEATS), np.random.default_rng(2)
+    mesh = dataclasses.replace(mesh, textures=Textures.of(IMAGE, uv, cutoff=0.5))
+    at = rng.uniform(0.1, 0.9, (2, 40))
+    # The first face is the one below the diagonal.
+    face = np.where(rng.uniform(size=40) < 0.1, -1, np.where(at[1] < at[0], 0, 1)).astype(np.int32)
+    view = CAMERA.view()
+    place = view.clip(jnp.asarray([*(2 * at - 1), np.zeros(40)]).T)
+    x, y = (place[:, :2] / place[:, 3:]).T
+    found = passes_at_points(
+        mesh, jnp.asarray(face[None]), view.clip_vertices(mesh.vertices), Points(x[None], y[None])
+    )[0]
+    alpha = np.where(face < 0, 1, sampled(IMAGE, *at)[:, 3])
+    sure = np.abs(alpha - 0.5) > 1e-3
+    assert 5 < np.sum(alpha[sure] < 0.5) < 35
+    np.testing.assert_array_equal(np.asarray(found)[sure], alpha[sure] >= 0.5)
+
+
+@pytest.mark.parametrize("band", [24, 9, 4, 1])
+def test_bands_of_an_image_together_are_the_image(band):
+    face = jnp.arange(24, dtype=jnp.int32).reshape(6, 4)
+    row = lambda part, rows: rows.first + jnp.arange(part.shape[0])[:, None]
+    found = by_bands(
+        lambda part, rows: (part + 100 * row(part, rows), jnp.full(len(part), rows.height)), face, band=band
+    )
+    np.testing.assert_array_equal(found[0], face + 100 * np.arange(6)[:, None])
+    np.testing.assert_array_equal(found[1], [6] * 6)
 
 
 @pytest.mark.exhaustive

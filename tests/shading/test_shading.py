@@ -156,9 +156,10 @@ def test_each_light_has_its_own_intensity():
 
 
 @pytest.mark.parametrize("shading", [Phong(), ModulatedShadow()])
-def test_every_light_needs_its_visibility(shading):
-    with pytest.raises(ValueError, match="1 visibility for 2 lights"):
-        shading(surface(), [jnp.ones((1, 1))], [sun(), spot(2.0)], camera())
+@pytest.mark.parametrize(("count", "said"), [(1, "1 visibility"), (3, "3 visibilities")])
+def test_every_light_needs_its_visibility(shading, count, said):
+    with pytest.raises(ValueError, match=f"{said} for 2 lights"):
+        shading(surface(), [jnp.ones((1, 1))] * count, [sun(), spot(2.0)], camera())
 
 
 # --- Modulated shadow ---

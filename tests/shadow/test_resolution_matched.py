@@ -84,8 +84,7 @@ def window_of(whole, pages, layer) -> np.ndarray:
     return np.asarray(whole)[y : y + side, x : x + side]
 
 
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("depth_layer", ["nearest", "midpoint"])
+@pytest.mark.parametrize("depth_layer", ["nearest", pytest.param("midpoint", marks=pytest.mark.exhaustive)])
 def test_pages_are_parts_of_the_plain_map_bit_for_bit(depth_layer):
     scene, _ = scene_and_surface()
     settings = {"depth_layer": depth_layer, "polygon_offset": (1.5, 4.0)} if depth_layer == "midpoint" else {}
@@ -208,7 +207,6 @@ def needed_of(layout, scene, surface):
     return levels_needed(layout, scene.light, scene.camera, surface)
 
 
-@pytest.mark.exhaustive
 def test_levels_on_a_ground_follow_the_closed_form():
     scene, surface = ground()
     needed, mask = needed_of(layout_of(), scene, surface)
@@ -224,7 +222,11 @@ def test_levels_on_a_ground_follow_the_closed_form():
     expected = np.log2(np.minimum(across, along))
     np.testing.assert_allclose(np.asarray(needed)[mask][middle], expected[middle], atol=2e-3)
     assert (np.asarray(needed)[mask] <= expected + 2e-3).all()
-    # A camera that shows things twice as large lowers levels by one.
+
+
+@pytest.mark.exhaustive
+def test_a_camera_that_shows_things_twice_as_large_lowers_levels_by_one():
+    scene, surface = ground()
     finer = ground(2.0)
     light, light_of_finer = (pages_for(*each, layout_of()) for each in ((scene, surface), finer))
     points = finer[1].position

@@ -43,6 +43,8 @@ from diffshadow.shadow import (
     draw_shadow_map,
     receiver,
 )
+from diffshadow.shadow.layouts._frustum import depths_of
+from diffshadow.shadow.layouts._warped import _strength
 
 SIZE = (64, 64)
 FAR = 100.0
@@ -161,6 +163,44 @@ def errors_along(layout):
     # The map's y axis follows the view; a step along it changes nothing across.
     np.testing.assert_allclose(found[:, 0, 1], 0, atol=1e-3)
     return np.abs(found[:, 1, 1]) * SIZE[0] / focal_length
+
+
+@pytest.mark.parametrize(
+    ("method", "nearest", "expected"),
+    [
+        ("lispsm", 0.1, 1),
+        ("perspective", 0.1, 3),
+        ("trapezoidal", 0.1, 5 / 3),
+        ("lispsm", 0.4, 0.5),
+        ("lispsm", 0.6, 0),
+    ],
+)
+def test_strength_of_each_method_is_its_formula(method, nearest, expected):
+    """Of depths from 2 to 8 that rise by 6 along the map; the strength is at most 1 / τ - 2 at the nearest."""
+    layout, depth = PerspectiveWarp(method, focus=0.6), jnp.asarray([4.0, 2.0, 8.0])
+    of = lambda camera: _strength(layout, camera.view(), depth, jnp.asarray([0.05, nearest, 0.9]), jnp.asarray(6.0))
+    assert float(of(CORRIDOR)) == pytest.approx(expected, rel=1e-5)
+    assert float(of(OrthographicCamera((0, 1, 0), (0, 1, -1), height=2.0, near=1.0, far=FAR))) == 0
+    # Points before the near plane count from there: 6 / 4.
+    late = dataclasses.replace(CORRIDOR, near=jnp.asarray(4.0))
+    if method == "perspective":
+        assert float(of(late)) == pytest.approx(1.5)
+
+
+def test_maps_are_fitted_to_the_depths_that_are_seen_up_to_the_shadow_distance():
+    position, mask = (
+        jnp.asarray([[[5.0, 3.0, -7.0], [2.0, 0.0, -20.0], [0.0, 0.0, -60.0]]]),
+        jnp.array([[1, 1, 0]], bool),
+    )
+    seen = dataclasses.replace(surface_at(position, jnp.asarray([0.0, 1.0, 0.0])), mask=mask)
+    at = lambda surface, most: [*map(float, depths_of(CORRIDOR.view(), surface, most))]
+    assert at(None, None) == [1, FAR]
+    assert at(None, jnp.asarray(30.0)) == [1, 30]
+    assert at(seen, None) == [7, 20]
+    assert at(seen, jnp.asarray(9.0)) == [7, 9]
+    # Without a surface within the distance: up to the distance.
+    assert at(seen, jnp.asarray(5.0)) == [1, 5]
+    assert at(dataclasses.replace(seen, mask=mask & False), None) == [1, FAR]
 
 
 @pytest.mark.exhaustive

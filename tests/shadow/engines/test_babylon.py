@@ -10,8 +10,9 @@ import pytest
 from engine_states import agreement, scene_of, surface_of
 from golden_engines import engine_golden, engine_goldens
 from scenes import marked
+from scipy import ndimage
 
-from diffshadow.geometry import MatrixLight
+from diffshadow.geometry import DirectionalLight, MatrixLight, Mesh
 from diffshadow.raster import Surface
 from diffshadow.shadow import BabylonJs, EngineMap
 from diffshadow.shadow.engines import _babylon
@@ -263,3 +264,22 @@ def test_each_mesh_needs_its_culling():
         BabylonJs(back_face_culling=(True, True, False)).prepare(scene_of(golden))
     listed = BabylonJs(back_face_culling=[True, False, True, True])
     assert listed.casting_sides(scene_of(golden)) == ("front", "double", "front", "front")
+
+
+def test_a_normal_bias_shrinks_casters_where_their_faces_are_slanted_to_the_light():
+    corners = np.array([(0, 0, 0), (2, 0, 0), (0, 3, 0), (0, 0, 4)], float)
+    mesh = Mesh(corners, [(0, 1, 2), (0, 3, 1)])
+    sun = DirectionalLight((0.6, 0, -0.8), (0, 0, 0), (4, 4), -4, 4)
+    found = _babylon.shrunk(mesh, sun, jnp.asarray(0.5))
+    # The normals are z and y; the light comes from (-0.6, 0, 0.8).
+    np.testing.assert_allclose(found.vertices[:3], corners[[0, 1, 2]] - [0, 0, 0.5 * 0.6], atol=1e-6)
+    np.testing.assert_allclose(found.vertices[3:], corners[[0, 3, 1]] - [0, 0.5, 0], atol=1e-6)
+    np.testing.assert_array_equal(found.faces, [(0, 1, 2), (3, 4, 5)])
+    np.testing.assert_array_equal(found.corner_normals, mesh.corner_normals)
+    assert _babylon.shrunk(mesh, sun, jnp.asarray(0.0)) is mesh
+
+
+def test_a_box_blur_is_the_mean_of_texels_around():
+    image = jnp.asarray(np.random.default_rng(4).uniform(size=(12, 12)), jnp.float32)
+    found = _babylon.box_blurred(image, image.shape, jnp.asarray(1 / 12), 2)
+    np.testing.assert_allclose(found[2:-2, 2:-2], ndimage.uniform_filter(image, 5)[2:-2, 2:-2], atol=1e-5)
