@@ -1,5 +1,6 @@
 """Antialiased surfaces: areas in closed form, pictures against supersampling, derivatives against differences."""
 
+import dataclasses
 import functools
 
 import equinox as eqx
@@ -277,6 +278,25 @@ def test_a_plan_that_is_too_small_is_an_error():
     planned = plan_antialiasing(mesh, FRONT)
     with pytest.raises(RuntimeError, match="memory for 16 pieces"):
         jax.block_until_ready(colours(mesh.padded(), AntialiasPlan(planned.edges, planned.creases, 16, 256)))
+
+
+def test_means_over_points_within_pixels_are_those_of_finer_images():
+    """Of a wave that is shorter than a pixel, on the ground."""
+    mesh, camera = quad((-9, 0, -9), (18, 0, 0), (0, 0, 18)), view()
+    wave = lambda surface: np.where(surface.mask, np.sin(40 * np.asarray(surface.position)[..., 0]), 0)
+    coarse = draw_surface(mesh, camera)
+    fine = wave(draw_surface(mesh, dataclasses.replace(camera, resolution=(8 * SIDE, 8 * SIDE))))
+    truth = fine.reshape(SIDE, 8, SIDE, 8).mean(axis=(1, 3))
+    off = lambda image: np.sqrt(np.mean((np.asarray(image) - truth)[np.asarray(coarse.mask)] ** 2))
+    one, several = (points_within_pixels(coarse, camera, count) for count in (1, 13))
+    assert one.surface is coarse
+    assert off(several.mean(jnp.asarray(wave(several.surface)))) < 0.25 * off(one.mean(jnp.asarray(wave(coarse))))
+
+
+@pytest.mark.parametrize("count", [0, True])
+def test_a_count_of_points_is_a_whole_number(count):
+    with pytest.raises(ValueError, match=f"the count of points is {count}; expected a whole number at least 1"):
+        points_within_pixels(draw_surface(quad((-1, 0, 0), (2, 0, 0), (0, 2, 0)), FRONT), FRONT, count)
 
 
 def test_points_within_pixels_lie_in_them_and_on_what_is_seen_there():

@@ -185,7 +185,7 @@ def _points_of(surface: Surface, camera: AbstractCamera, count: int) -> PixelPoi
 
 
 @eqx.filter_jit
-def _mean_over(points: PixelPoints, visibility: Visibility, light: AbstractLight) -> Visibility:
+def _mean_over(points: PixelPoints, visibility: Float[Array, "H w"], light: AbstractLight) -> Visibility:
     return points.mean(visibility * cone_fraction(light, points.surface))
 
 
