@@ -186,7 +186,7 @@ def run_fit(settings: Config, problem: fit.TechniqueProblem | Sequence[fit.Techn
             plan.parameters,
             solver=plan.solver,
             anneal=plan.anneal,
-            search=fit.Search(evaluations=plan.evaluations),
+            search=fit.Search(evaluations=plan.search.evaluations),
             loss=plan.loss,
         )
     except ValueError as error:

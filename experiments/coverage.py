@@ -144,7 +144,9 @@ def fit_one(
     # Twice what is planned here, so that few other draws need more and recompile.
     crossings = 2 * problem.planned().crossings if crossings is None else crossings
     problem = dataclasses.replace(problem, crossings=crossings)
-    result = fit.fit(problem, parameters, solver=plan.solver, anneal=plan.anneal, search=fit.Search(blurs=plan.blurs))
+    result = fit.fit(
+        problem, parameters, solver=plan.solver, anneal=plan.anneal, search=fit.Search(blurs=plan.search.blurs)
+    )
     deviations = {} if result.precision is None else result.precision.deviations
     rows = []
     for name, truth in plan.truth.items():

@@ -1,7 +1,7 @@
 """Which subpackage may import which other.
 
 A subpackage imports only subpackages to its left in `ORDER`, and only through their public `__init__`. The subpackages
-up to `fit` are pure.
+up to `fit` are pure. Within a subpackage, imports for annotations alone are free.
 """
 
 import ast
@@ -49,8 +49,8 @@ FOLDERS = {
         ),
         *("_fit", "_train", "_moving_lights", "_shape_steps", "_shape_program", "_shape"),
     ),
-    "config": ("sections", "whole", "framing", "reading", "building"),
-    "study": ("files", "pages", "imports", "_drawn", "remarks", "runs", "sweeps", "advice", "_report"),
+    "config": ("sections", "framing", "reading", "building"),
+    "study": ("record", "pages", "imports", "_drawn", "remarks", "runs", "sweeps", "advice", "_report"),
 }
 # Outside the order: what each may import, and which may import it.
 ASIDE_IMPORTS = {"reference": {"geometry"}, "metrics": set(), "io": {"geometry"}, "_xla": set(), "_memory": set()}
@@ -86,6 +86,12 @@ def may_import(subpackage: str) -> set[str]:
         return COMMON | set(ORDER) | set(ASIDE_IMPORTS)
     left = set(ORDER[: ORDER.index(subpackage)])
     return COMMON | left | {aside for aside, imported_by in IMPORTED_BY.items() if subpackage in imported_by}
+
+
+def for_annotations(tree: ast.AST) -> set[int]:
+    """The lines of imports that only a type checker sees."""
+    blocks = (node for node in ast.walk(tree) if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")
+    return {node.lineno for block in blocks for node in block.body}
 
 
 def imports(tree: ast.AST, module: str, is_package: bool, modules: set[str]) -> Iterator[tuple[int, str, str | None]]:
@@ -179,8 +185,10 @@ def breaches(sources: Mapping[str, str]) -> list[str]:
             continue
         if subpackage == "__main__":
             continue
-        graph[module] = set()
+        graph[module], annotations = set(), for_annotations(tree)
         for line, target, name in imports(tree, module, is_package, modules):
+            if line in annotations and subpackage_of(target) == subpackage:
+                continue
             what = import_breach(module, target, name)
             if what:
                 found.append(f"{path}:{line}: {what}")
@@ -260,6 +268,11 @@ SOUND = {
             "from . import Mesh",
             "circular import: diffshadow.geometry -> diffshadow.geometry._mesh",
         ),
+        (
+            "geometry/_mesh.py",
+            "if TYPE_CHECKING:\n    from ..raster import draw",
+            "imports raster, which geometry must not import",
+        ),
         ("_types.py", "from ._arithmetic import dot", "circular import: diffshadow._arithmetic -> diffshadow._types"),
         ("study/files/_run.py", "from ..runs import draw", "imports runs, which comes after files in study"),
         ("helpers/__init__.py", "", "helpers is not a subpackage of the design"),
@@ -269,3 +282,8 @@ def test_a_planted_breach_is_found(path, text, message):
     assert breaches(SOUND) == []
     found = breaches({**SOUND, path: text})
     assert any(message in breach for breach in found), found
+
+
+def test_an_import_for_annotations_is_free_within_its_subpackage():
+    text = "if TYPE_CHECKING:\n    from . import Mesh"
+    assert breaches({**SOUND, "geometry/_mesh.py": text}) == []

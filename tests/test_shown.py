@@ -97,8 +97,9 @@ def test_a_fit_shows_its_table_and_its_reference(has_problem):
     truth = reference.trace_visibility(SCENE)
     technique = shadow.ShadowMapping(shadow.Nearest(), shadow.Bias(constant=1.0), map=shadow.MapSettings((32, 32)))
     problems = (fit.TechniqueProblem.of(SCENE, technique, truth),) if has_problem else ()
-    values = ({"bias.<constant>": 1.0}, {"bias.<constant>": 2.5})
-    result = fit.FitResult(technique, *values, [], 0, [], [], 0.0, 0.0, problems=problems, errors=(0.5, 0.25))
+    values = {"initial": {"bias.<constant>": 1.0}, "fitted": {"bias.<constant>": 2.5}}
+    of_steps = {"phases": [], "chosen": 0, "history": [], "flat": [], "seconds_compiling": 0.0, "seconds_running": 0.0}
+    result = fit.FitResult(technique=technique, **values, **of_steps, problems=problems, errors=(0.5, 0.25))
     shown = result._repr_html_()
     assert "<td>bias.&lt;constant&gt;</td><td>1</td><td>2.5</td>" in shown
     assert "<td>error</td><td>0.5000</td><td>0.2500</td>" in shown

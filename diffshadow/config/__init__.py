@@ -13,10 +13,8 @@ from .reading._advise import Advice, load_advice
 from .reading._advise import AdvisedTechnique as AdvisedTechnique
 from .reading._dump import Row as Row
 from .reading._dump import describe, dump, dump_resolved
-from .reading._dump import fit_units as fit_units
 from .reading._files import input_files as input_files
 from .reading._files import user_modules as user_modules
-from .reading._init import write_template as write_template
 from .reading._keys import is_key as is_key
 from .reading._load import load_config, parse_config
 from .reading._numbers import Choice as Choice
@@ -33,18 +31,21 @@ from .reading._of_run import settings_file, with_fitted
 from .reading._sweep_runs import Progress as Progress
 from .reading._sweep_runs import Sweep, SweepRun, SweepRuns, load_sweep
 from .reading._templates import DEFAULT_TEMPLATE as DEFAULT_TEMPLATE
+from .reading._templates import write_template as write_template
 from .sections._axes import LABEL as LABEL
+from .sections._config import Config, FitView
+from .sections._fit import preferences as preferences
 from .sections._fitted import fit_paths as fit_paths
+from .sections._fitted import fit_units as fit_units
 from .sections._fitted import is_limit as is_limit
-from .sections._lights import DirectionalLightConfig as DirectionalLightConfig
-from .sections._reference import REFERENCES as REFERENCES
+from .sections._images import REFERENCES as REFERENCES
+from .sections._scene import DirectionalLightConfig as DirectionalLightConfig
 from .sections._section import changed as changed
+from .sections._section import frozen as frozen
 from .sections._sweep import FLICKER as FLICKER
 from .sections._sweep import LIMIT_ERROR as LIMIT_ERROR
 from .sections._sweep import PlotConfig as PlotConfig
 from .sections._sweep import SweepConfig as SweepConfig
-from .whole._preferences import preferences as preferences
-from .whole._schema import Config, FitView
 
 __all__ = [
     "Advice",

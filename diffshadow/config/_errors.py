@@ -113,6 +113,11 @@ def show(value: Any) -> str:
     return text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}…"
 
 
+def plain(number: float) -> str:
+    """`number` as one writes it: 5 rather than 5.0."""
+    return str(number).removesuffix(".0")
+
+
 def listing(choices: Iterable[Any]) -> str:
     """`choices` as a phrase: "a", "a or b", "a, b or c"."""
     words = [str(choice) for choice in choices]

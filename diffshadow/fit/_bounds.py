@@ -31,15 +31,19 @@ class AtBound(NamedTuple):
 
 
 def at_bounds(run: Run, parameters: Sequence[Parameter], values: Values) -> list[AtBound]:
-    """The parameters that `values` has on a bound. The error is evaluated there and further inside for each of them."""
+    """The parameters that `values` has on a bound. The error is evaluated there and further inside for each of them.
+
+    **Arguments:** `values`: counted from the parameters' offsets.
+    """
     found = []
     for i, (parameter, value) in enumerate(zip(parameters, values, strict=True)):
-        span = parameter.upper - parameter.lower
-        sides: list[tuple[Bound, float, float]] = [("lower", parameter.lower, span), ("upper", parameter.upper, -span)]
+        counted = parameter.counted()
+        span = counted.upper - counted.lower
+        sides: list[tuple[Bound, float, float]] = [("lower", counted.lower, span), ("upper", counted.upper, -span)]
         for side, bound, inwards in sides:
             if abs(value - bound) <= _ON_BOUND * span:
                 steps = (bound + step * _STEP * inwards for step in range(3))
                 here, near, far = (run.error((*values[:i], at, *values[i + 1 :])) ** 2 for at in steps)
                 slope = (4 * near - far - 3 * here) / 2
-                found.append(AtBound(parameter.name, side, bound, slope > _FALLS * here))
+                found.append(AtBound(parameter.name, side, getattr(parameter, side), slope > _FALLS * here))
     return found

@@ -3,7 +3,7 @@
 import dataclasses
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -32,8 +32,9 @@ from .problems import AbstractProblem, Joint, check_problem, devices_of, on_host
 from .solvers import OptimistixSolver, Solver
 
 
-class FitResult(NamedTuple):
-    """What a fit found.
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class FitResult:
+    """What a fit found, and what it was asked.
 
     - `technique`: the fitted technique, with the hard compare.
     - `initial`, `fitted`: values by name.
@@ -53,7 +54,7 @@ class FitResult(NamedTuple):
     - `errors`: the roots of the loss under the hard compare, at the start and at the best values; 0 where a loss of
         one's own is less.
     - `problems`: the fitted problems, with the memory for silhouettes that it needed, and maps laid out as fitted.
-    - `parameters`, `solver`: what was fitted and by which solver, as given.
+    - `parameters`, `solver`, `search`, `sureness`: what was fitted, and how, as given.
     - `is_own_loss`: whether `errors` and the losses of `phases` and `history` are of a loss of one's own, rather than
         mean square errors.
 
@@ -71,16 +72,18 @@ class FitResult(NamedTuple):
     seconds_running: float
     arrangement: Arrangement | None = None
     precision: Precision | None = None
-    starts: list[Start] = []  # noqa: RUF012
+    starts: list[Start] = dataclasses.field(default_factory=list)
     enlargements: int = 0
     problems: tuple[AbstractProblem, ...] = ()
-    profiles: list[Profile] = []  # noqa: RUF012
-    best: dict[str, float] = {}  # noqa: RUF012
-    front: list[FrontPoint] = []  # noqa: RUF012
-    at_bounds: list[AtBound] = []  # noqa: RUF012
+    profiles: list[Profile] = dataclasses.field(default_factory=list)
+    best: dict[str, float] = dataclasses.field(default_factory=dict)
+    front: list[FrontPoint] = dataclasses.field(default_factory=list)
+    at_bounds: list[AtBound] = dataclasses.field(default_factory=list)
     errors: tuple[float, float] = (0.0, 0.0)
     parameters: tuple[Parameter, ...] = ()
-    solver: Solver | None = None
+    solver: Solver = dataclasses.field(default_factory=Solver)
+    search: Search = dataclasses.field(default_factory=Search)
+    sureness: Sureness = dataclasses.field(default_factory=Sureness)
     is_own_loss: bool = False
 
     def _repr_html_(self) -> str:
@@ -169,66 +172,68 @@ def fit(
     sureness.check(joint, [p.name for p in parameters])
     check_problem(joint, fitted)
     chosen = _solver_for(joint, solver).for_problem(joint.moves)
-    offsets, given, parameters = [p.offset for p in parameters], tuple(parameters), [p.counted() for p in parameters]
-    spread = starts_within(fitted, as_float([p.initial for p in parameters]), search.starts, search.seed)
+    initial = as_float([p.counted().initial for p in parameters])
+    spread = starts_within(fitted, initial, search.starts, search.seed)
     joint = joint.each(lambda problem: problem.planned())
     if (devices := devices_of(search.devices, moves=joint.moves)) > 1:
         # The program of a step puts a part on each device.
         joint = dataclasses.replace(joint.each(on_host), devices=devices)
     phases = phases_of(joint, fitted.paths, anneal, search.blurs, search.pixels)
     with showing("fit", unless=on_step is not None or progress is not None) as shown:
-        update, watched = progress or shown, _from_offsets(on_step, offsets)
+        update, watched = progress or shown, on_step
         if update is not None:
             watched = shown_steps(update, phases, search.starts, joint.own is not None, watched)
-        judge = Judge(phases[-1].joint.hard(), Parameters.of(parameters))
+        judge = Judge(phases[-1].joint.hard(), fitted)
         run = Run(parameters, judge, phases, chosen, search.evaluations, watched, update)
         with run.reporter:
             path, tried = run.through(spread)
-        result = _result(run, path, tried, parameters, sureness)
+        found = _found(run, path, tried, sureness)
     seconds = time.perf_counter() - began - run.seconds_compiling
-    result = result._replace(seconds_running=seconds, parameters=given, solver=chosen)
-    return _with_offsets(result, offsets) if any(offsets) else result
+    asked = {"parameters": tuple(parameters), "solver": chosen, "search": search, "sureness": sureness}
+    return FitResult(**found, **asked, seconds_compiling=run.seconds_compiling, seconds_running=seconds)
 
 
-def _result(
-    run: Run, path: Trajectory, tried: list[Start], parameters: Sequence[Parameter], sureness: Sureness
-) -> FitResult:
-    """What a run found along its best path, and what it finds out about the values near the best."""
+def _found(run: Run, path: Trajectory, tried: list[Start], sureness: Sureness) -> dict[str, Any]:
+    """What a run found along its best path, and what it finds out about the values near the best: the fields of the
+    result.
+
+    Within a run, values are counted from the parameters' offsets. Here they leave it, as the reporter's steps do.
+    """
+    told = run.told
+    named = lambda values: dict(zip(run.names, told(values), strict=True))
     best = path.chosen(run.solver.noise or 0.0)
-    values, least, profiles = _chosen(run, path.values[best], parameters, sureness)
-    points = front_of(run, least, sureness.front) if sureness.front else []
-    end, precision = run.judge.at(as_float(values)), run.precision(path, best - 1)
-    return FitResult(
-        technique=end.technique,
-        initial=dict(zip(run.names, path.values[0], strict=True)),
-        fitted=dict(zip(run.names, values, strict=True)),
-        phases=path.outcomes,
-        chosen=best - 1,
-        history=run.history,
-        flat=run.flat(path),
-        seconds_compiling=run.seconds_compiling,
-        seconds_running=0.0,
-        arrangement=end.subject if end.moves else None,
-        precision=precision,
-        starts=tried,
-        enlargements=run.enlargements,
-        problems=run.judge.joint.problems,
-        profiles=profiles,
-        best=dict(zip(run.names, least, strict=True)),
-        front=points,
-        at_bounds=at_bounds(run, parameters, values),
-        errors=(root(path.losses[0]), run.error(least)),
-        is_own_loss=run.judge.joint.own is not None,
-    )
+    values, least, profiles = _chosen(run, path.values[best], sureness)
+    front = front_of(run, least, sureness.front) if sureness.front else []
+    end = run.judge.at(as_float(values))
+    return {
+        "technique": end.technique,
+        "initial": named(path.values[0]),
+        "fitted": named(values),
+        "phases": [phase._replace(values=told(phase.values)) for phase in path.outcomes],
+        "chosen": best - 1,
+        "history": run.history,
+        "flat": run.flat(path),
+        "arrangement": end.subject if end.moves else None,
+        "precision": run.precision(path, best - 1),
+        "starts": [start._replace(initial=told(start.initial), end=told(start.end)) for start in tried],
+        "enlargements": run.enlargements,
+        "problems": run.judge.joint.problems,
+        "profiles": [
+            each.shifted(p.offset) if p.offset else each for each, p in zip(profiles, run.given, strict=False)
+        ],
+        "best": named(least),
+        "front": [point._replace(values=told(point.values)) for point in front],
+        "at_bounds": at_bounds(run, run.given, values),
+        "errors": (root(path.losses[0]), run.error(least)),
+        "is_own_loss": run.judge.joint.own is not None,
+    }
 
 
-def _chosen(
-    run: Run, values: Values, parameters: Sequence[Parameter], sureness: Sureness
-) -> tuple[Values, Values, list[Profile]]:
+def _chosen(run: Run, values: Values, sureness: Sureness) -> tuple[Values, Values, list[Profile]]:
     """The preferred values, the values of the least error, and the profiles about the latter."""
     if not (sureness.within or sureness.prefer):
         return values, values, []
-    profiler = Profiler(run, parameters, values)
+    profiler = Profiler(run, [p.counted() for p in run.given], values)
     profiles = profiler.profiles(sureness.within) if sureness.within else []
     least = profiler.best.values
     preferred = profiler.preferred(sureness.prefer, sureness.tolerance).values if sureness.prefer else least
@@ -273,30 +278,3 @@ def _solver_for(joint: Joint, solver: Any) -> Solver:
     solver = Solver.of(solver)
     _check_solver(is_number, solver)
     return solver
-
-
-def _from_offsets(on_step: Callable[[Step], None] | None, offsets: Sequence[float]) -> Callable[[Step], None] | None:
-    if on_step is None or not any(offsets):
-        return on_step
-    return lambda step: on_step(step._replace(values=_plus(step.values, offsets)))
-
-
-def _plus(values: Sequence[float], offsets: Sequence[float]) -> tuple[float, ...]:
-    return tuple(value + offset for value, offset in zip(values, offsets, strict=True))
-
-
-def _with_offsets(result: FitResult, offsets: Sequence[float]) -> FitResult:
-    """`result`, whose values are counted from `offsets` (p,), with the parameters' own values. Only lights and meshes
-    have offsets, and their fits have neither profiles nor fronts."""
-    by_name = lambda values: dict(zip(values, _plus(tuple(values.values()), offsets), strict=True))
-    return result._replace(
-        initial=by_name(result.initial),
-        fitted=by_name(result.fitted),
-        best=by_name(result.best),
-        phases=[phase._replace(values=_plus(phase.values, offsets)) for phase in result.phases],
-        history=[step._replace(values=_plus(step.values, offsets)) for step in result.history],
-        starts=[
-            start._replace(initial=_plus(start.initial, offsets), end=_plus(start.end, offsets))
-            for start in result.starts
-        ],
-    )

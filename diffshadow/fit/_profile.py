@@ -63,6 +63,15 @@ class Profile(NamedTuple):
     points: list[tuple[float, float]]
     intervals: list[Interval]
 
+    def shifted(self, offset: float) -> "Profile":
+        """The profile with `offset` added to the parameter's values."""
+        end = lambda each: each._replace(value=each.value + offset)
+        return self._replace(
+            best=(self.best[0] + offset, self.best[1]),
+            points=[(value + offset, error) for value, error in self.points],
+            intervals=[each._replace(lower=end(each.lower), upper=end(each.upper)) for each in self.intervals],
+        )
+
 
 class Trial(NamedTuple):
     """Values of all parameters, and the root of the loss there."""

@@ -105,6 +105,7 @@ class Trajectory(NamedTuple):
 class Run:
     """A fit in progress.
 
+    - `given`: what is fitted. All values in a run are counted from its offsets.
     - `judge`: sees the start and the end of every phase, and the best of these is the result.
     - `phases`: whose memory for silhouettes may grow.
     - `evaluations`: of the error in a search, for each parameter.
@@ -124,15 +125,20 @@ class Run:
         on_step: Callable[[Step], None] | None,
         update: Update | None,
     ):
+        self.given = tuple(parameters)
         self.names, self.parameters = tuple(p.name for p in parameters), judge.parameters
         self.judge, self.phases, self.solver, self.evaluations = judge, phases, solver, evaluations
         self.history: list[Step] = []
         self.update = update
-        self.reporter = Reporter(self.parameters, self.history, on_step)
+        self.reporter = Reporter(self.parameters, self.history, on_step, self.told)
         self.slopes = np.zeros(len(parameters))
         self.enlargements = 0
         self.seconds_compiling = 0.0
         self._programs: dict[Any, dict[Any, Any]] = {}
+
+    def told(self, values: Values) -> Values:
+        """`values` (p,) as the parameters were given, rather than counted from their offsets."""
+        return tuple(value + p.offset if p.offset else value for value, p in zip(values, self.given, strict=True))
 
     def say(self, detail: str) -> None:
         """Says what the fit is at, besides its steps."""

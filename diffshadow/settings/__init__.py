@@ -15,6 +15,7 @@ Nothing here needs JAX or pydantic, so that the command can refuse a configurati
 from ._settings import MISSING as MISSING
 from ._settings import At, Fitted, Limits, LongerThan, Setting, Settings, Unit
 from ._settings import Form as Form
+from ._settings import InputFile as InputFile
 from ._settings import bare as bare
 from ._settings import is_union as is_union
 

@@ -113,6 +113,18 @@ class LongerThan:
 
 
 @dataclass(frozen=True)
+class InputFile:
+    """Marks the path of a file that a run reads. `builtin` is what paths begin with that name no file, if any do."""
+
+    builtin: str | None = None
+
+    def names(self, path: Any) -> bool:
+        """Whether `path` names a file."""
+        is_path = isinstance(path, str) and bool(path)
+        return is_path and (self.builtin is None or not path.startswith(self.builtin))
+
+
+@dataclass(frozen=True)
 class Setting:
     """A value that can be set.
 

@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal
 
 from annotated_types import Len
 
-from ._settings import Limits, Settings, Unit
+from ._settings import InputFile, Limits, Settings, Unit
 
 Sampler = Literal["sobol", "stratified"]
 """How points of a light are chosen. Both converge equally fast; `"stratified"` works best with a square number."""
@@ -50,11 +50,14 @@ class PictureReference(Reference):
     type: Literal["picture"] = "picture"
     path: Annotated[
         Annotated[str, Len(1)] | None,
+        InputFile(),
         "a picture (.exr or .npy, linear; .png, sRGB), as large as the camera's image, relative to this file (in an "
         "override: to the current folder); default: what rays see of the scene as it stands, which is then the truth",
     ] = None
     mask: Annotated[
-        Annotated[str, Len(1)] | None, "an image of the pixels that count, above 0.5; default: all of them"
+        Annotated[str, Len(1)] | None,
+        InputFile(),
+        "an image of the pixels that count, above 0.5; default: all of them",
     ] = None
     encoding: Annotated[Encoding | None, "of the picture's numbers; default: by the kind of its file"] = None
     exposure: Annotated[float, Limits(-20, 20), Unit("stops"), "by how much the drawn picture is lightened"] = 0.0
@@ -75,6 +78,7 @@ class ImageReference(Reference):
     path: Annotated[
         str,
         Len(1),
+        InputFile(),
         "a visibility image (.npy, .png, .jpg or .exr, linear, 1 where lit), relative to this file (in an override: to "
         "the current folder)",
     ]

@@ -4,23 +4,24 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from ._report import report
-from .files._stored import StoredRun as StoredRun
-from .files._stored import add_files as add_files
-from .files._stored import read_run as read_run
 from .imports._import import import_scene
 from .pages._compare import compare
+from .record._files import add_files as add_files
+from .record._stored import VisibilityRun as VisibilityRun
+from .record._stored import is_fit as is_fit
+from .record._stored import read_run as read_run
 from .runs._check import check as check
 from .runs._convert import convert
 from .runs._fit import fit_technique as fit_technique
 from .runs._fit import run_fit
 from .runs._picture import traced_picture as traced_picture
-from .runs._pose import pose_problems as pose_problems
 from .runs._progress import Stages as Stages
 from .runs._render import run_render
 from .runs._save import save_fit
 from .runs._setup import trace as trace
 from .runs._shape import shadow_on as shadow_on
 from .runs._shape import shape_problem as shape_problem
+from .runs._visibility import pose_problems as pose_problems
 
 __all__ = [
     "compare",

@@ -3,8 +3,9 @@
 from pathlib import Path
 
 from .. import io
-from .files._stored import ADVISE, PICTURE, SHAPE, SWEEP, add_files, read_result, read_run
-from .pages._report import write_report
+from .record._files import read_record
+from .record._stored import stored_run
+from .record._sweeps import AdviseRecord, SweepRecord
 
 
 def report(folder: Path, *, form: str | None = None, dpi: int = 150) -> Path:
@@ -22,30 +23,17 @@ def report(folder: Path, *, form: str | None = None, dpi: int = 150) -> Path:
     """
     if not 10 <= dpi <= 2400:
         raise ValueError(f"dpi is {dpi}; expected 10 to 2400 pixels per inch, such as 300")
-    kind = read_result(folder)["kind"]
+    record = read_record(folder)
     io.check_writable(folder)
-    if kind == SWEEP:
-        # Here, since only sweeps need it.
+    # Here, since they load Matplotlib.
+    if isinstance(record, SweepRecord):
         from .sweeps._report import report_sweep
 
-        return report_sweep(folder, form)
-    if kind == ADVISE:
+        return report_sweep(folder, record, form)
+    if isinstance(record, AdviseRecord):
         from .advice._report import report_advice
 
-        return report_advice(folder, form, dpi)
-    if kind == SHAPE:
-        # Here, since it loads Matplotlib.
-        from .pages._shape import report_shape
+        return report_advice(folder, record, form, dpi)
+    from .pages._report import write_report
 
-        return report_shape(folder, form, dpi)
-    if kind == PICTURE:
-        from .pages._picture import report_picture
-
-        return report_picture(folder, form, dpi)
-    run = read_run(folder)
-    if form is not None:
-        # Here, since it loads Matplotlib.
-        from .pages._figures import write_figures
-
-        add_files(folder, [path.name for path in write_figures(run, folder, form, dpi)])
-    return write_report(run)
+    return write_report(stored_run(folder, record), form, dpi)

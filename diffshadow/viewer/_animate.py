@@ -112,14 +112,14 @@ def animate_run(folder: Path, output: Path | None = None, *, pixels: int = PIXEL
     states: meshes that turn, shapes, and fits made in Python.
     """
     run = study.read_run(folder)
-    if run.kind != "fit" or run.result.get("command") is None:
+    if not study.is_fit(run) or run.record.command is None:
         raise io.FileError(
-            f"{folder} holds a {run.kind} or a fit made in Python; expected a fit by the command; give one, or a "
+            f"{folder} holds a render or a fit made in Python; expected a fit by the command; give one, or a "
             "configuration with KEY=FROM:TO"
         )
     config = load_config(folder / CONFIG_FILE)
     config = config.views[0].config if config.views else config
-    names = [_AXES.sub(lambda axis: f".{'xyz'.index(axis[1])}", name) for name in run.result["fitted"]]
+    names = [_AXES.sub(lambda axis: f".{'xyz'.index(axis[1])}", name) for name in run.record.fitted]
     subject = Subject(config)
     if missing := [name for name in names if name not in subject.sliders]:
         what = f"holds a fit of {missing[0]}, which no configuration states"
@@ -159,12 +159,12 @@ def _steps_between(frames: int) -> list[float]:
     return np.linspace(0, 1, frames)[1:-1].tolist()
 
 
-def _steps(run: study.StoredRun) -> list[tuple[int, list[float]]]:
+def _steps(run: study.VisibilityRun[Any]) -> list[tuple[int, list[float]]]:
     """Number and values of the steps that are shown: not more than so many, the result last."""
-    values = study.history(run.result, run.arrays)["values"]
+    values = study.history(run).values
     every = -(-len(values) // _MOST_STEPS)
     chosen = range(0, len(values), every)
-    result = list(run.result["fitted"].values())
+    result = list(run.record.fitted.values())
     return [*((number, values[number].tolist()) for number in chosen), (len(values), result)]
 
 

@@ -22,7 +22,7 @@ from jaxtyping import Array, Bool, UInt8
 
 from .. import geometry, raster, shadow
 from .._types import HostArray
-from ..config import Config, StagedMeshes, build_camera, build_lights, build_meshes, build_shading, changed
+from ..config import Config, StagedMeshes, build_camera, build_lights, build_meshes, build_shading, changed, frozen
 from ._state import Look
 from ._subject import Subject
 
@@ -79,10 +79,9 @@ class Frame:
     ):
         self.cache, self.subject, self.look, self.size = cache, subject, look, size
         self.config = subject.at(look.state) if config is None else config
-        self._meshes = repr(self.config.scene.meshes)
-        # Sections of users' classes may hold values that have no hash.
-        self._camera = repr(self.config.scene.camera)
-        self._lights = [repr(light) for light in self.config.scene.each_light.values()]
+        self._meshes = frozen(self.config.scene.meshes)
+        self._camera = frozen(self.config.scene.camera)
+        self._lights = [frozen(light) for light in self.config.scene.each_light.values()]
         self.light = min(look.light, len(self._lights) - 1)
         self.staged: StagedMeshes = cache.meshes(self._meshes, lambda: build_meshes(self.config))
         self.numbers = subject.numbers_of(self.config)
@@ -105,7 +104,7 @@ class Frame:
     @property
     def shading(self) -> Any:
         """How pictures are shaded."""
-        key = repr(self.config.shading), len(self._lights)
+        key = frozen(self.config.shading), len(self._lights)
         return self.cache.shading(key, lambda: build_shading(self.config))
 
     def scene(self, light: int) -> geometry.Scene:
@@ -157,7 +156,7 @@ class Frame:
     @property
     def truth_key(self) -> Hashable:
         """What the reference of the shown light depends on."""
-        return self._surface_key(self.size), self._lights[self.light], repr(self.subject.how)
+        return self._surface_key(self.size), self._lights[self.light], frozen(self.subject.how)
 
     def shaded(self) -> Picture:
         """The picture that a render stores, lit by all lights."""

@@ -24,6 +24,7 @@ from ..config import (
     changed,
     dump_resolved,
     fit_paths,
+    frozen,
     is_key,
     parse_config,
     preferences,
@@ -71,8 +72,8 @@ class Subject:
         self.laid_out = [name for name, path in self._paths.items() if self.technique.lays_out(path)]
         layout = getattr(self.technique, "layout", None)
         self.follows_camera = layout is not None and not isinstance(layout, shadow.SingleMap)
-        self.map_key = repr((config.technique, config.shadow_map, getattr(layout, "margin", None)))
-        self.key = repr((config.technique, config.shadow_map, config.bias, config.filter, config.compare))
+        self.map_key = frozen((config.technique, config.shadow_map, getattr(layout, "margin", None)))
+        self.key = frozen((config.technique, config.shadow_map, config.bias, config.filter, config.compare))
         # Pages compare with rays, also where a file holds the reference.
         section: Any = config.reference if config.reference.type == "traced" else REFERENCES.make()
         self.how: dict[str, Any] = section.how(config.seed)

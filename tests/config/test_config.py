@@ -15,6 +15,7 @@ from diffshadow.config import (
     describe,
     dump_resolved,
     fit_paths,
+    input_files,
     load_config,
     parse_config,
 )
@@ -261,7 +262,7 @@ fit:↵  parameters:↵    bias.slope: {lower: 0, upper: 1,↵      initial: 2}
     5: fit.parameters.bias.slope.initial: is 2; expected a start from lower = 0 to upper = 1; move it inside, or widen
     the bounds
 fit:↵  parameters:↵    filter.radius: {lower: 3, upper: 4}
-    4: fit.parameters.filter.radius: starts at filter.radius = 2.0; expected a start from lower = 3 to upper = 4; give
+    4: fit.parameters.filter.radius: starts at filter.radius = 2; expected a start from lower = 3 to upper = 4; give
     an initial value, change filter.radius, or widen the bounds
 fit: {parameters: {bias.slope: {lower: -1, upper: 1}}}
     2: fit.parameters.bias.slope.lower: is -1; expected a number at least 0, as for bias.slope; raise it
@@ -1072,3 +1073,36 @@ def test_a_vogel_spiral_is_turned_for_each_pixel_by_default():
     assert (vogel.rotated, vogel.pattern_size) == (True, 1)
     other = parse_config(TINY + "filter: {pattern: vogel, rotated: false, pattern_size: 4}").filter
     assert (other.rotated, other.pattern_size) == (False, 4)
+
+
+def test_files_are_found_by_the_marks_on_their_keys(tmp_path):
+    names = {"a.obj": "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"} | dict.fromkeys(["t.png", "i.png", "m.png", "p.npy"], "")
+    for name, content in names.items():
+        (tmp_path / name).write_text(content)
+    scene = "scene: {meshes: [{path: a.obj, texture: t.png}, {path: builtin:box}]}\n"
+    shape = "fit: {shape: {start: {path: a.obj}, images: [i.png], masks: [m.png]}}\n"
+    found = parse_config(scene + shape, folder=tmp_path)
+    assert input_files(found) == [tmp_path / name for name in ("a.obj", "t.png", "i.png", "m.png")]
+    views = "fit: {views: {list: [{reference: {type: image, path: p.npy}}, {reference.samples: 2}]}}\n"
+    found = parse_config(scene + views, folder=tmp_path)
+    assert found.fit.model_dump()["views"]["list"][0]["reference"]["path"] == str(tmp_path / "p.npy")
+    assert input_files(found) == [tmp_path / name for name in ("a.obj", "t.png", "p.npy")]
+
+
+def test_rules_between_keys_are_told_beside_faults_of_single_keys():
+    text = "scene: {meshes: [], camera: {nears: 1}}\nsweep: {run: fit, limit_samples: 16, flicker: {count: 1}}\n"
+    said = [line.split(": ")[1] for line in faults(text)]
+    assert said == [
+        *("scene.meshes", "scene.camera.nears", "sweep", "sweep.limit_samples", "sweep.flicker"),
+        *("sweep.flicker.count", "sweep.flicker.through"),
+    ]
+
+
+def test_meshes_and_lights_of_a_fit_of_a_shape_are_no_part_of_the_scene():
+    # With faults if they were: a mesh that shows no shadows, a map's frame that a fit cannot have, and a narrow guard.
+    target = "targets: [{path: builtin:sphere, receives: false}]"
+    assert parse_config(f"{TINY}fit: {{shape: {{{target}}}}}\n", fitting=True).fit.shape is not None
+    lights = "[{frame: casters}, {type: point, guard: 0.0, position: [0, 3, 0]}]"
+    settings = parse_config(f"{TINY}fit: {{shape: {{unseen: {lights}}}}}\nfilter: {{type: pcf}}\n", fitting=True)
+    assert settings.fit.shape is not None
+    assert fault(TINY.replace("'}", "', receives: false}")).startswith("file.yaml:1: scene.meshes.0.receives: is false")

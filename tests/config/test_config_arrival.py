@@ -11,15 +11,19 @@ import pytest
 
 from diffshadow.config import build_fit, build_scene, build_shading, build_technique, parse_config
 from diffshadow.config.reading._keys import Slot, slot_of
-from diffshadow.config.sections._biases import PLANES, BiasConfig, TermsConfig
-from diffshadow.config.sections._filters import FILTERS
-from diffshadow.config.sections._fit import AnnealConfig, FitConfig, SolverConfig
-from diffshadow.config.sections._lights import LIGHTS
-from diffshadow.config.sections._scene import CAMERAS, MeshConfig
+from diffshadow.config.sections._fit import AnnealConfig, FitConfig, LossConfig, SolverConfig
+from diffshadow.config.sections._images import SHADINGS, AttenuationConfig
+from diffshadow.config.sections._scene import CAMERAS, LIGHTS, MeshConfig
 from diffshadow.config.sections._section import Section
-from diffshadow.config.sections._shading import SHADINGS, AttenuationConfig
-from diffshadow.config.sections._technique import COMPARES, TECHNIQUES, ShadowMapConfig
-from diffshadow.config.sections._views import LossConfig
+from diffshadow.config.sections._technique import (
+    COMPARES,
+    FILTERS,
+    PLANES,
+    TECHNIQUES,
+    BiasConfig,
+    ShadowMapConfig,
+    TermsConfig,
+)
 from diffshadow.settings.engines import Engine
 from diffshadow.settings.techniques import FittedLayout, Mapped
 from diffshadow.shading import Colour
@@ -168,7 +172,7 @@ def built(where: str, section: type[Section], data: dict[str, Any]) -> Any:
         "scene.light": lambda: build_scene(config).light,
         "shading": lambda: build_shading(config),
         "shading.attenuation": lambda: build_shading(config).attenuation,
-        "fit": lambda: build_fit(config),
+        "fit": lambda: vars(build_fit(config).search) | vars(build_fit(config).sureness),
         "fit.solver": lambda: build_fit(config).solver,
         "fit.anneal": lambda: build_fit(config).anneal,
         "fit.loss": lambda: build_fit(config).loss,

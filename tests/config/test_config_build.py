@@ -24,7 +24,7 @@ from diffshadow.config import (
     parse_config,
     with_fitted,
 )
-from diffshadow.config.sections._filters import FILTERS
+from diffshadow.config.sections._technique import FILTERS
 from diffshadow.fit import resolve
 from diffshadow.geometry import face_normals
 from diffshadow.io import MeshWarning
@@ -243,7 +243,7 @@ def test_mesh_beyond_single_precision_or_memory_is_reported_with_its_key(mesh, s
 
 
 def test_scene_of_too_many_triangles_is_reported(monkeypatch):
-    monkeypatch.setattr("diffshadow.config.building._modules._MAX_TRIANGLES", 20)
+    monkeypatch.setattr("diffshadow.config.building._scene._MAX_TRIANGLES", 20)
     with pytest.raises(ConfigError, match=r"scene\.meshes\.1: brings the scene to 24 triangles; expected at most 20"):
         build(text="scene: {meshes: [{path: builtin:box}, {path: builtin:box}, {path: builtin:box}]}")
 
@@ -653,3 +653,12 @@ def test_warped_maps_are_built_as_they_are_set():
     )
     with pytest.raises(ConfigError, match=r"technique\.type: is perspective_warp in a fit of lights"):
         build_fit(moving)
+
+
+def test_parameters_by_default_need_not_suit_a_file_that_is_not_fitted():
+    text = "scene: {meshes: [{path: builtin:box}]}\ntechnique: {type: three.js}\n"
+    settings = parse_config(text, fitting=True)
+    with pytest.raises(ConfigError, match=r"fit.parameters.bias.constant: cannot be fitted with technique type 'three"):
+        build_fit(settings)
+    with pytest.raises(ConfigError, match=r"bias.constant: cannot be fitted with technique type 'three"):
+        parse_config(f"{text}fit: {{parameters: {{bias.constant: {{lower: 0, upper: 20}}}}}}\n", fitting=True)

@@ -10,7 +10,7 @@ import pytest
 
 from diffshadow.config import Config, ConfigError, describe, dump_resolved, fit_paths, load_config, parse_config
 from diffshadow.config.reading._keys import ROOT, Slot, _inside, slot_of
-from diffshadow.config.sections._section import Section
+from diffshadow.config.sections._section import Section, unchecked
 from diffshadow.settings import Limits
 from diffshadow.settings.scene import PIECES
 
@@ -98,7 +98,7 @@ def random_data(rng: np.random.Generator) -> dict[str, Any]:
     scene = data.get("scene", {}) | {"meshes": [{"path": f"builtin:{name}", "scale": 2.5} for name in names]}
     data["scene"] = scene
     if rng.random() < 0.4:
-        known = [*fit_paths(data), "scene.light.position.x", "scene.meshes.0.translate.y"]
+        known = [*fit_paths(unchecked(root, data)), "scene.light.position.x", "scene.meshes.0.translate.y"]
         chosen = rng.choice(known, rng.integers(1, 4), replace=False).tolist()
         bounds = {"lower": 0.1, "upper": 0.9} | ({"initial": 0.5} if rng.random() < 0.7 else {})
         data["fit"] = {"parameters": dict.fromkeys(chosen, bounds)}

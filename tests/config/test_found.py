@@ -12,8 +12,7 @@ from scenes import staying_in
 
 from diffshadow import geometry, io
 from diffshadow.config import ConfigError, build_scene, dump_resolved, load_config, parse_config, settings_file
-from diffshadow.config.reading._init import write_template
-from diffshadow.config.reading._templates import folder_of_templates, template_names
+from diffshadow.config.reading._templates import folder_of_templates, template_names, write_template
 
 AUTO = "scene: {meshes: [{path: builtin:box}], camera: auto, light: auto, ground: auto}"
 

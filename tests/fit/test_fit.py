@@ -148,6 +148,7 @@ def test_values_that_are_counted_from_an_offset_are_reported_with_it(known):
     assert [start.end for start in result.starts] == [plus(start.end) for start in near.starts]
     assert [start.initial for start in result.starts] == [plus(start.initial) for start in near.starts]
     assert float(result.technique.bias.constant.value) == float(near.technique.bias.constant.value)
+    assert (result.parameters, result.search.starts) == ((counted, RADIUS), 2)
     put = with_parameters(disk(), [counted, RADIUS], list(result.fitted.values()))
     assert float(put.bias.constant.value) == float(result.technique.bias.constant.value)
 

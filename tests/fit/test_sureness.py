@@ -9,7 +9,20 @@ import numpy as np
 import pytest
 from scenes import problem, technique
 
-from diffshadow.fit import Anneal, AtBound, Loss, Parameter, Parameters, Search, Solver, Sureness, fit
+from diffshadow.fit import (
+    Anneal,
+    AtBound,
+    End,
+    Interval,
+    Loss,
+    Parameter,
+    Parameters,
+    Profile,
+    Search,
+    Solver,
+    Sureness,
+    fit,
+)
 from diffshadow.fit._bounds import at_bounds
 from diffshadow.fit._front import front_of
 from diffshadow.fit._judge import Judge
@@ -198,6 +211,13 @@ def test_what_is_preferred_first_stays_where_it_is_while_the_next_moves():
     assert end.values[1] < BEST[1] - 0.3 * half_width(0.05)
 
 
+def test_a_profile_is_told_with_the_offset_of_its_parameter():
+    end = lambda value: End(value, 0.2, False)
+    profile = Profile("a", (3.0, 0.1), [(2.0, 0.3), (3.0, 0.1)], [Interval(0.05, end(2.5), end(3.5))])
+    far = Profile("a", (1003.0, 0.1), [(1002.0, 0.3), (1003.0, 0.1)], [Interval(0.05, end(1002.5), end(1003.5))])
+    assert profile.shifted(1000.0) == far
+
+
 def test_values_on_a_bound_say_whether_the_error_still_falls_there():
     # Beyond 2.5, a is better. So is b with this a, and with the best one it is best on its bound.
     narrow = [Parameter("a", 1.0, 0.0, 2.5), Parameter("b", 1.0, -4.0, BEST[1])]
@@ -205,6 +225,9 @@ def test_values_on_a_bound_say_whether_the_error_still_falls_there():
     assert a == AtBound("a", "upper", 2.5, True)
     assert b[:3] == ("b", "upper", BEST[1])
     assert b.falls
+    # Values are counted from an offset, and told with it.
+    far = [Parameter("a", 1001.0, 1000.0, 1002.5, offset=1000.0), narrow[1]]
+    assert at_bounds(Bowl(), far, (2.4999, BEST[1] - 1e-4))[0] == AtBound("a", "upper", 1002.5, True)
     assert at_bounds(Bowl(), [narrow[0], BOUNDS[1]], (2.4, BEST[1])) == []
     flat = [Parameter("a", 3.0, BEST[0], 10.0), Parameter("b", 1.0, BEST[1], 4.0)]
     assert [(each.side, each.falls) for each in at_bounds(Bowl(), flat, BEST)] == [("lower", False), ("lower", False)]

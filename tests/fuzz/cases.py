@@ -12,7 +12,7 @@ import numpy as np
 import words
 from mutate import SCHEMA
 
-from diffshadow.config.reading._load import load_draft
+from diffshadow.config.reading._draft import load_draft
 
 # Fits of shapes trace their targets before they are found valid, and fits to pictures compile for a minute.
 SLOW = {"picture.yaml", "shadow_art.yaml", "shape_from_shadows.yaml"}

@@ -18,11 +18,12 @@ from diffshadow.cli import main
 from diffshadow.config import ConfigError, build_technique, load_advice, load_config, parse_config, with_fitted
 from diffshadow.io import write_visibility
 from diffshadow.study.advice import _advise as module
-from diffshadow.study.advice._candidates import Candidate, front, ranked, recommended
+from diffshadow.study.advice._candidates import front, ranked, recommended
 from diffshadow.study.advice._large import large_biases
-from diffshadow.study.advice._measure import LeastBias, least_bias_for, unexplained_by
-from diffshadow.study.advice._times import Load, Times, Watch, times_of, unevenness_of
+from diffshadow.study.advice._measure import least_bias_for, unexplained_by
+from diffshadow.study.advice._times import Watch, busy_remark, times_of, unevenness_of
 from diffshadow.study.advice._verdict import Findings, verdict
+from diffshadow.study.record._sweeps import Candidate, LeastBias, Load, Times
 from diffshadow.study.runs._progress import Stages
 from diffshadow.study.runs._setup import load
 from diffshadow.study.runs._views import draw_views
@@ -262,7 +263,7 @@ def test_the_cheapest_of_those_within_the_noise_is_recommended():
     assert recommended(everything, 0.03).id == "dear"
     assert recommended(everything, 0.03, 0.01).id == "cheap"
     # Times that may be off by much are no reason to take a dearer one.
-    rough = [each._replace(spread=0.7) for each in (dear, cheap, near)]
+    rough = [each.model_copy(update={"spread": 0.7}) for each in (dear, cheap, near)]
     assert recommended([*rough, bad], 0.03, 0.01).id == "cheap"
     # The noise is less than what counts.
     assert recommended(everything, 0.10, 0.0005).id == "near"
@@ -347,37 +348,38 @@ def test_the_spread_of_times_is_as_large_as_what_times_are_off_by():
         missed += abs(b.ratio / a.ratio / 1.1 - 1) > a.spread + b.spread
     assert missed <= 30
     assert 0.03 < np.median(spreads) < 0.3
-    assert times_of(np.ones((15, 2, 2)), ["a", "b"])[0] == Times(1e3, 1e3, 1.0, 0.0)
+    assert times_of(np.ones((15, 2, 2)), ["a", "b"])[0] == Times(map_ms=1e3, lookup_ms=1e3, ratio=1.0, spread=0.0)
 
 
 def test_no_difference_of_times_within_their_spread_is_claimed():
     near = candidate("x", 0.06, 2.4, bias="slope", filter="disk")
     said = " ".join(verdict(findings(near)))
     assert "Disk instead of tent: an RMSE of 0.0600, 50 % more, in 1.20 times the time" in said
-    said = " ".join(verdict(findings(near._replace(spread=0.21))))
+    said = " ".join(verdict(findings(near.model_copy(update={"spread": 0.21}))))
     assert "in the same time" in said
     fast = candidate("n", 0.08, 1.5, filter="nearest", resolution=(32, 32))
     assert "The fastest is constant with nearest" in " ".join(verdict(findings(fast)))
-    assert "The fastest" not in " ".join(verdict(findings(fast._replace(spread=0.4))))
+    assert "The fastest" not in " ".join(verdict(findings(fast.model_copy(update={"spread": 0.4}))))
     # Of the equally fast, the best is recommended.
     rough, best = candidate("r", 0.102, 1.0, spread=0.2), candidate("b", 0.1, 1.15)
     assert recommended([rough, best], 0.03).id == "b"
-    assert recommended([rough._replace(spread=0.0), best], 0.03).id == "r"
+    assert recommended([rough.model_copy(update={"spread": 0.0}), best], 0.03).id == "r"
     assert rough.times == "1.00 ± 0.20"
 
 
 @pytest.mark.parametrize(
     ("load", "said"),
     [
-        (Load(0.05, 0.02), None),
-        (Load(None, 0.02), None),
-        (Load(0.48, 0.02), "so times are rough: other processes used 48% of its processors"),
-        (Load(None, 0.3), "so times are rough: the time of equal work varied by ± 30%"),
-        (Load(0.48, 0.3), "used 48% of its processors, and the time of equal work varied by ± 30%"),
+        (Load(others=0.05, unevenness=0.02), None),
+        (Load(others=None, unevenness=0.02), None),
+        (Load(others=0.48, unevenness=0.02), "so times are rough: other processes used 48% of its processors"),
+        (Load(others=None, unevenness=0.3), "so times are rough: the time of equal work varied by ± 30%"),
+        (Load(others=0.48, unevenness=0.3), "used 48% of its processors, and the time of equal work varied by ± 30%"),
     ],
 )
 def test_a_busy_machine_is_remarked_on(load, said):
-    assert load.remark is None if said is None else load.remark.endswith(said)
+    remark = busy_remark(load)
+    assert remark is None if said is None else remark is not None and remark.endswith(said)
 
 
 def test_rounds_that_take_twice_as_long_are_uneven():
@@ -414,19 +416,21 @@ def findings(*others: Candidate, noise: float | None = 0.001, **least_biases: Le
 def test_verdict_says_what_a_constant_bias_loses_to_have_as_little_acne():
     other = candidate("c", 0.05, 2.02, false_shadow=0.03, false_light=0.002)
     say = lambda each: " ".join(verdict(findings(other, constant=each)))
-    lossy = say(LeastBias(4.2, 0.001, 0.021))
+    lossy = say(LeastBias(value=4.2, false_shadow=0.001, false_light=0.021))
     assert "No constant bias removes acne to the 0.10 % of slope without 2.1 % of false light, at 4.2 texels" in lossy
     assert "slope has 0.20 %, in the same time." in lossy
-    none = say(LeastBias(30.0, 0.012, 0.05))
+    none = say(LeastBias(value=30.0, false_shadow=0.012, false_light=0.05))
     assert (
         "No constant bias within its bounds removes acne to the 0.10 % of slope: the least, 1.2 %, is at 30 texels"
         in none
     )
-    free = say(LeastBias(2.5, 0.001, 0.00205))
+    free = say(LeastBias(value=2.5, false_shadow=0.001, false_light=0.00205))
     assert "The constant bias removes acne to the 0.10 % of slope at 2.5 texels, with as little false light" in free
     # With as little acne as it is, nothing is to be said.
     alike = candidate("c", 0.05, 2.0, false_shadow=0.00105, false_light=0.002)
-    assert "removes acne" not in " ".join(verdict(findings(alike, constant=LeastBias(4.2, 0.001, 0.021))))
+    assert "removes acne" not in " ".join(
+        verdict(findings(alike, constant=LeastBias(value=4.2, false_shadow=0.001, false_light=0.021)))
+    )
 
 
 def test_verdict_claims_no_difference_below_the_noise():
@@ -553,7 +557,10 @@ def test_advice_on_a_reference_that_is_upside_down_says_so(finished, tmp_path):
 
 
 def test_what_is_wrong_is_said_first(quick, monkeypatch):
-    busy = lambda configs, progress: (times_of(np.ones((1, len(configs), 2)), range(len(configs))), Load(0.5, 0.0))
+    busy = lambda configs, progress: (
+        times_of(np.ones((1, len(configs), 2)), range(len(configs))),
+        Load(others=0.5, unevenness=0.0),
+    )
     monkeypatch.setattr(module, "measure_times", busy)
     monkeypatch.setattr(module, "unexplained_by", lambda config: ["it explains nothing"])
     folder, said = run(load_advice(Path("a.yaml"), ["output=out"]))
@@ -591,10 +598,13 @@ def quick(monkeypatch):
         }
 
     monkeypatch.setitem(work._MEASURES, "fit", measure)
-    timed = lambda configs, progress: (times_of(np.ones((1, len(configs), 2)), range(len(configs))), Load(0.0, 0.0))
+    timed = lambda configs, progress: (
+        times_of(np.ones((1, len(configs), 2)), range(len(configs))),
+        Load(others=0.0, unevenness=0.0),
+    )
     monkeypatch.setattr(module, "measure_times", timed)
     monkeypatch.setattr(module, "unexplained_by", lambda config: [])
-    monkeypatch.setattr(module, "least_bias_for", lambda *_: LeastBias(2.0, 0.0, 0.0))
+    monkeypatch.setattr(module, "least_bias_for", lambda *_: LeastBias(value=2.0, false_shadow=0.0, false_light=0.0))
     return measure
 
 

@@ -18,8 +18,9 @@ from diffshadow.settings.engines import ENGINES, POLYGON_OFFSETS
 from diffshadow.settings.rules import ENGINE_RULES
 from diffshadow.study.advice import _advise as module
 from diffshadow.study.advice._engines import engine_code
-from diffshadow.study.advice._times import Load, times_of
-from diffshadow.study.runs._engine_fits import lit_by
+from diffshadow.study.advice._times import times_of
+from diffshadow.study.record._sweeps import Load
+from diffshadow.study.runs._engine import lit_by
 from diffshadow.study.runs._progress import Stages
 from diffshadow.study.sweeps._pace import Pace, saying_how_long
 
@@ -137,7 +138,10 @@ def quick(monkeypatch):
         return {**whole, **fitted, "steps": 3, "reference_noise_floor": None, "pixels": 9}
 
     monkeypatch.setitem(work._MEASURES, "fit", measure)
-    timed = lambda configs, progress: (times_of(np.ones((1, len(configs), 2)), range(len(configs))), Load(0.0, 0.0))
+    timed = lambda configs, progress: (
+        times_of(np.ones((1, len(configs), 2)), range(len(configs))),
+        Load(others=0.0, unevenness=0.0),
+    )
     monkeypatch.setattr(module, "measure_times", timed)
     monkeypatch.setattr(module, "unexplained_by", lambda config: [])
     monkeypatch.setattr(module, "_least_biases", lambda *_: {})

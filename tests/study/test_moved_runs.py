@@ -13,7 +13,7 @@ from stored_runs import write_render
 from diffshadow import study
 from diffshadow.cli import main
 from diffshadow.config import Config, ConfigError, describe, load_config
-from diffshadow.study.files._stored import read_run
+from diffshadow.study.record._stored import read_run
 
 pytestmark = pytest.mark.usefixtures("tiny_figures")
 

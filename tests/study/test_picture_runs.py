@@ -1,12 +1,13 @@
 """Runs of fits to pictures: their folder and page, and mistakes of their configurations."""
 
+import json
+
 import numpy as np
 import pytest
 from rich.console import Console
 
 from diffshadow import fit, io, study
 from diffshadow.config import CONFIG_FILE, ConfigError, build_fit, load_config, parse_config
-from diffshadow.study.files._stored import read_result
 from diffshadow.study.runs._check import check
 from diffshadow.study.runs._picture import picture_plan
 from diffshadow.study.runs._progress import Stages
@@ -156,7 +157,7 @@ def test_a_photograph_has_no_truth(tmp_path):
 @pytest.mark.exhaustive
 def test_a_render_compares_visibility_with_rays(tmp_path):
     folder = study.run_render(config(f"output={tmp_path}"), console=QUIET)
-    assert read_result(folder)["kind"] == "render"
+    assert json.loads((folder / "result.json").read_text())["kind"] == "render"
     with np.load(folder / "arrays.npz") as arrays:
         assert np.sqrt(np.mean((arrays["visibility"] - arrays["reference"])[arrays["mask"]] ** 2)) < 0.2
 
@@ -173,7 +174,7 @@ def folder(tmp_path_factory):
 
 @pytest.mark.exhaustive
 def test_run_of_a_picture_has_its_pictures_the_numbers_and_a_page(folder):
-    result = read_result(folder)
+    result = json.loads((folder / "result.json").read_text())
     assert sorted(entry.name for entry in folder.iterdir()) == result["files"]
     assert {"reference.png", "before.png", "after.png", "fitted.glb", "report.html", CONFIG_FILE} <= set(
         result["files"]

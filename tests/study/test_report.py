@@ -1,5 +1,6 @@
 """Reports and comparisons of finished runs: what they say and show, and what they refuse."""
 
+import dataclasses
 import html.parser
 import io as text_io
 import json
@@ -13,13 +14,15 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 from rich.console import Console
-from stored_runs import write_fit, write_sweep
+from stored_runs import write_fit, write_render, write_sweep
 
 from diffshadow import study
 from diffshadow.cli import main
+from diffshadow.config import parse_config
 from diffshadow.study.pages._compare import _errors
 from diffshadow.study.pages._table import ERRORS
-from diffshadow.study.runs._record import combined
+from diffshadow.study.record._runs import Poses
+from diffshadow.study.runs._measure import combined
 
 
 class Parsed(html.parser.HTMLParser):
@@ -124,8 +127,8 @@ def read(data: str) -> np.ndarray:
 
 
 def test_differences_share_the_least_scale_that_holds_nearly_all(tmp_path):
-    from diffshadow.study.files._stored import read_run
     from diffshadow.study.pages._figures import difference_limit
+    from diffshadow.study.record._stored import read_run
 
     run = read_run(write_fit(tmp_path / "tiny"))
     # Of 640 pixels, 16 are wrong by 1 before, which is more than one in a hundred; after, none by more than 0.05.
@@ -149,8 +152,8 @@ def test_several_lights_have_pictures_and_errors_each(tmp_path):
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("form", ["svg", pytest.param("pdf", marks=pytest.mark.exhaustive)])
 def test_figures_are_written_again_in_any_format(form, tmp_path):
-    from diffshadow.study.files._stored import read_run
     from diffshadow.study.pages._figures import write_figures
+    from diffshadow.study.record._stored import read_run
 
     folder = write_fit(tmp_path / "tiny")
     made = {f"{name}.{form}" for name in ("comparison", "shaded", "loss", "parameters")}
@@ -168,12 +171,12 @@ def test_parameter_curves_mark_near_bounds_phases_and_truth(tmp_path):
     from matplotlib.colors import to_hex
 
     from diffshadow.study import style
-    from diffshadow.study.files._stored import read_run
     from diffshadow.study.pages._figures import parameters
+    from diffshadow.study.record._stored import read_run
 
     run = read_run(write_fit(tmp_path / "tiny"))
-    result = {**run.result, "poses": {"truth": {"filter.radius": 3.0}}}
-    bias, radius = parameters(result, run.arrays).axes
+    known = run.record.model_copy(update={"poses": Poses(truth={"filter.radius": 3.0})})
+    bias, radius = parameters(dataclasses.replace(run, record=known)).axes
     level = lambda axes, colour: [line.get_ydata()[0] for line in axes.lines if to_hex(line.get_color()) == colour]
     assert level(bias, style.INK) == [0]
     assert level(radius, style.INK) == [0]
@@ -237,18 +240,25 @@ def test_pages_start_with_pictures_and_end_with_commands(tmp_path):
 
 
 def test_commands_of_a_draft_name_the_folder_that_it_becomes(tmp_path, monkeypatch):
-    from diffshadow.study.files._run_folder import final_folder, write_whole
     from diffshadow.study.pages._next import after_run
+    from diffshadow.study.record._folder import final_folder, write_whole
+    from diffshadow.study.record._stored import read_run
 
     seen = []
     write_whole(tmp_path / "a-run", seen.append)
     assert seen[0] != tmp_path / "a-run"
     assert final_folder(seen[0]) == final_folder(tmp_path / "a-run") == tmp_path / "a-run"
-    (draw, *_) = after_run(seen[0], {"kind": "render", "command": "diffshadow render a.yaml"}, "shadow_map")
+    record = read_run(
+        write_render(
+            tmp_path / "rendered",
+            parse_config("scene: {meshes: [path: 'builtin:torus'], camera: {resolution: [6, 8]}}"),
+        )
+    ).record
+    (draw, *_) = after_run(seen[0], record, "shadow_map")
     assert draw.text == f"diffshadow fit {tmp_path}/a-run/config.yaml"
     # The commands work in any folder.
     monkeypatch.chdir(tmp_path)
-    assert after_run(Path("a-run"), {"kind": "render"}, "shadow_map")[0] == draw
+    assert after_run(Path("a-run"), record, "shadow_map")[0] == draw
 
 
 def test_comparison_of_different_scenes_is_remarked(tmp_path):
@@ -276,7 +286,7 @@ def test_comparison_of_different_scenes_is_remarked(tmp_path):
 
 def test_comparison_marks_the_greatest_ssim_and_the_least_of_the_other_errors():
     errors = [dict.fromkeys(ERRORS, value) for value in (0.3, 0.2, 0.4)]
-    lines = _errors([SimpleNamespace(errors=[("", each)]) for each in errors])
+    lines = _errors([SimpleNamespace(errors=[("", SimpleNamespace(**each))]) for each in errors])
     ssim = list(ERRORS).index("ssim")
     assert [line.best for line in lines] == [{2} if i == ssim else {1} for i in range(len(lines))]
 

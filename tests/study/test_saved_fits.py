@@ -133,9 +133,9 @@ def test_what_is_no_fit_to_be_saved_is_refused(seen, tmp_path):
     result = result_of(seen, "bias.constant", 40.0, 0.5)
     smaller = eqx.tree_at(lambda problem: problem.reference, seen, seen.reference[:32])
     with pytest.raises(ValueError, match=r"images of 64 x 64 and 32 x 64 pixels.*expected images of one size"):
-        study.save_fit(result._replace(problems=(seen, smaller)), tmp_path / "mine")
+        study.save_fit(dataclasses.replace(result, problems=(seen, smaller)), tmp_path / "mine")
     with pytest.raises(ValueError, match="the names are a, a; expected 2 different ones"):
-        study.save_fit(result._replace(problems=(seen, seen)), tmp_path / "mine", names=["a", "a"])
+        study.save_fit(dataclasses.replace(result, problems=(seen, seen)), tmp_path / "mine", names=["a", "a"])
     with pytest.raises(TypeError, match="what to save is of type dict; expected a FitResult"):
         study.save_fit({}, tmp_path / "mine")
     with pytest.raises(TypeError, match="the folder is of type int; expected a path"):

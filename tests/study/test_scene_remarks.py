@@ -8,9 +8,7 @@ from rich.console import Console
 
 from diffshadow.config import build_scene, build_technique, parse_config
 from diffshadow.raster import draw_surface
-from diffshadow.study.remarks._framing import dark_scene
-from diffshadow.study.remarks._scene import scene_remarks
-from diffshadow.study.remarks._sides import side_remarks
+from diffshadow.study.remarks._scene import dark_scene, scene_remarks, side_remarks
 from diffshadow.study.runs._progress import Stages
 from diffshadow.study.runs._setup import draw, load
 

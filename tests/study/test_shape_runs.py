@@ -1,6 +1,7 @@
 """Runs of fits of shapes: their folder, page and checkpoint, and mistakes of their configurations."""
 
 import errno
+import json
 import os
 
 import jax
@@ -13,8 +14,9 @@ from diffshadow import fit, io, study
 from diffshadow.config import CONFIG_FILE, ConfigError, build_shape, load_config, parse_config
 from diffshadow.geometry import Mesh, library_mesh
 from diffshadow.raster import draw_surface
-from diffshadow.study.files._stored import read_result
-from diffshadow.study.remarks._shape import shape_remarks, shape_verdict
+from diffshadow.study.record._runs import Overlap, ShapeMetrics
+from diffshadow.study.remarks._fit import shape_remarks
+from diffshadow.study.remarks._verdict import shape_verdict
 from diffshadow.study.runs import _turntable
 from diffshadow.study.runs._checkpoint import Checkpoint
 from diffshadow.study.runs._progress import Stages
@@ -48,7 +50,7 @@ def folder(tmp_path_factory):
 
 @pytest.mark.exhaustive
 def test_run_of_a_shape_has_the_mesh_the_numbers_and_a_page(folder):
-    result = read_result(folder)
+    result = result_of(folder)
     assert sorted(entry.name for entry in folder.iterdir()) == result["files"]
     assert {"shape.ply", "turntable.webp", "progress.webp", "report.html", CONFIG_FILE} <= set(result["files"])
     measured = result["metrics"]
@@ -95,7 +97,7 @@ def test_stopped_run_goes_on_from_its_checkpoint(folder, tmp_path, monkeypatch):
     monkeypatch.setattr(Checkpoint, "at", original)
     resumed = study.run_fit(again, console=QUIET)
     once, twice = (np.asarray(io.load_mesh(each / "shape.ply").vertices) for each in (folder, resumed))
-    before = lambda run: [light["before"] for light in read_result(run)["metrics"]["lights"]]
+    before = lambda run: [light["before"] for light in result_of(run)["metrics"]["lights"]]
     assert before(resumed) == before(folder)
     # GPUs add up gradients in any order.
     np.testing.assert_allclose(twice, once, atol=0 if jax.default_backend() == "cpu" else 1e-5)
@@ -105,7 +107,7 @@ def test_stopped_run_goes_on_from_its_checkpoint(folder, tmp_path, monkeypatch):
 @pytest.mark.exhaustive
 def test_run_with_a_light_that_moves_tells_how_far_it_is_off(tmp_path):
     moving = config(f"output={tmp_path}", "fit.shape.moves=[1]", "fit.shape.off=4", "fit.shape.phases=[{steps: 8}]")
-    result = read_result(study.run_fit(moving, console=QUIET))
+    result = result_of(study.run_fit(moving, console=QUIET))
     (light,) = result["metrics"]["moved"]
     assert light["light"] == "scene.lights.1"
     assert light["before"] == pytest.approx(4, rel=0.02)
@@ -254,23 +256,28 @@ def test_faces_seen_from_behind_have_another_colour(monkeypatch):
     assert is_blue(Mesh(vertices, faces[~top][:, ::-1])).mean() > 0.05
 
 
+def result_of(folder):
+    return json.loads((folder / "result.json").read_text())
+
+
 def shape_result(losses, chosen=0):
     history = [(0, loss) for loss in losses]
     return fit.FittedShape(None, [], 0.4, losses[-1], [losses[-1]], chosen, history, [], [], None)
 
 
 def test_the_verdict_of_a_shape_names_crossing_faces_and_a_start_that_was_best():
-    lights = [{"light": "scene.light", "before": 0.4, "map": 0.9, "rays": 0.8}]
-    measured = {"lights": lights, "self_intersections": 779}
+    lights = [Overlap(light="scene.light", before=0.4, map=0.9, rays=0.8)]
+    measured = ShapeMetrics(initial_loss=0.4, loss=0.1, lights=lights, self_intersections=779)
+    crossing = lambda pairs: measured.model_copy(update={"self_intersections": pairs})
     said = shape_verdict(shape_result([0.1] * 8), measured)
     assert said.kind == "fitted"
     assert (
         "to 80.0% by rays, from 40.0%, in 8 steps; the surface intersects itself in 779 pairs of faces" in said.sentence
     )
     assert "normal_consistency" in said.remedies[0]
-    one = shape_verdict(shape_result([0.1] * 8), {**measured, "self_intersections": 1})
+    one = shape_verdict(shape_result([0.1] * 8), crossing(1))
     assert one.sentence.endswith("in 1 pair of faces")
-    none = shape_verdict(shape_result([0.1] * 8), {**measured, "self_intersections": 0})
+    none = shape_verdict(shape_result([0.1] * 8), crossing(0))
     assert ("intersects" in none.sentence, none.remedies) == (False, [])
     start = shape_verdict(shape_result([0.1] * 8, -1), measured)
     assert (start.kind, start.sentence.startswith("no phase ended better than the start")) == ("best already", True)

@@ -23,12 +23,12 @@ from diffshadow import fit, io, metrics, reference, study
 from diffshadow._arithmetic import as_array, as_float
 from diffshadow.cli import main
 from diffshadow.config import ConfigError, build_scene, build_technique, fit_paths, load_config, settings_file
-from diffshadow.shadow import SoftCompare, ThreeJs, engine_code
+from diffshadow.shadow import Bias, Nearest, ShadowMapping, SoftCompare, ThreeJs, engine_code
 from diffshadow.study.runs import _convert, _engine
-from diffshadow.study.runs._engine_fits import Lit
+from diffshadow.study.runs._engine import Lit
+from diffshadow.study.runs._measure import perceptual_error
 from diffshadow.study.runs._progress import Stages
 from diffshadow.study.runs._setup import Loaded, _traced, draw
-from diffshadow.study.runs._shade import perceptual_error
 
 ROOT = Path(__file__).parents[2]
 QUICKSTART = ROOT / "configs" / "quickstart.yaml"
@@ -299,7 +299,8 @@ def test_flip_counts_what_any_light_counts_and_is_none_without_its_package(monke
     picture, masks = truth.copy(), np.zeros((2, 8, 12), bool)
     picture[:, :6] = 20
     masks[0, :, :6] = masks[1, :, 6:] = True
-    error = lambda lights: perceptual_error(picture, truth, [types.SimpleNamespace(mask=mask) for mask in lights])
+    pictures = {"shaded_after": picture, "shaded_reference": truth}
+    error = lambda lights: perceptual_error(pictures, "after", [types.SimpleNamespace(mask=mask) for mask in lights])
     monkeypatch.setitem(sys.modules, "flip_evaluator", None)
     assert error(masks) is None
     monkeypatch.undo()
@@ -475,7 +476,7 @@ def test_flat_gradient_is_reported_with_its_cause(really, tiny_figures, monkeypa
         # By the program of other tests.
         bilinear = dataclasses.replace(problems[0].technique.filter, lookup="bilinear")
         problems = [eqx.tree_at(lambda p: p.technique.filter, each, bilinear) for each in problems]
-        return found(problems, *arguments, **settings)._replace(flat=["filter.radius"])
+        return dataclasses.replace(found(problems, *arguments, **settings), flat=["filter.radius"])
 
     found = fit.fit
     if not really:
@@ -511,15 +512,17 @@ def test_first_phase_that_was_cut_short_is_reported_where_it_matters(last, losse
     # Another start's steps, and those of the phase that converged, count for nothing.
     history = [fit.Step(0, 0, 0.0, 9.0, (5.0,), start=0), *history, fit.Step(1, 0, 0.0, 0.01, (5.0,), start=1)]
     cut, whole = ended(24.0, "max_steps reached"), ended(3.0, last)
-    found = fit.FitResult(None, {"bias.constant": 5.0}, {"bias.constant": 5.0}, [cut, whole], 1, history, [], 0.0, 0.0)
-    parameter = fit.Parameter("bias.constant", 5.0, 0.0, 10.0)
-    plan = types.SimpleNamespace(parameters=[parameter], front=0)
-    earlier = [remark for remark in remarks(tiny(), plan, found) if "earlier phase" in remark]
+    at, asked = {"bias.constant": 5.0}, (fit.Parameter("bias.constant", 5.0, 0.0, 10.0),)
+    technique = ShadowMapping(Nearest(), Bias())
+    known = {"technique": technique, "initial": at, "fitted": at, "flat": [], "parameters": asked}
+    known |= {"phases": [cut, whole], "chosen": 1, "seconds_compiling": 0.0, "seconds_running": 0.0}
+    found = fit.FitResult(**known, history=history)
+    earlier = [remark for remark in remarks(tiny(), found) if "earlier phase" in remark]
     assert len(earlier) == bool(said)
     assert all(part in remark for remark in earlier for part in said)
     # Where the result comes from none of the phases, or from the first one itself, there is nothing to say.
     for chosen in (-1, 0):
-        assert not any("earlier phase" in each for each in remarks(tiny(), plan, found._replace(chosen=chosen)))
+        assert not any("earlier phase" in each for each in remarks(tiny(), dataclasses.replace(found, chosen=chosen)))
 
 
 def test_render_writes_its_images_beside_the_fit_s():

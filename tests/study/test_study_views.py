@@ -18,7 +18,7 @@ from diffshadow.config import ConfigError, build_fittable, parse_config
 from diffshadow.study.runs._progress import Stages
 from diffshadow.study.runs._setup import draw, load
 from diffshadow.study.runs._views import draw_views
-from diffshadow.study.runs._write_fit import _spaced
+from diffshadow.study.runs._visibility import spaced
 
 VIEWS = [
     "fit.views={grid: {scene.light.azimuth: [-150, -30]}}",
@@ -142,8 +142,8 @@ def test_views_share_meshes_and_what_a_camera_sees_and_are_drawn_as_alone():
 
 
 def test_flip_of_many_views_is_of_some_from_all_over():
-    assert _spaced(0, 3) == [0, 1, 2]
-    assert _spaced(3, 3) == []
-    some = _spaced(0, 1000)
+    assert spaced(0, 3) == [0, 1, 2]
+    assert spaced(3, 3) == []
+    some = spaced(0, 1000)
     assert (some[0], some[-1], len(set(some))) == (0, 999, 32)
     assert max(np.diff(some)) <= 33

@@ -23,7 +23,7 @@ from tables import cases, is_said
 from diffshadow import io, study
 from diffshadow.config import Config, ConfigError, SweepConfig, load_config, load_sweep
 from diffshadow.config.reading._axes import levels_of
-from diffshadow.config.reading._load import parse_draft
+from diffshadow.config.reading._draft import parse_draft
 from diffshadow.metrics import flicker
 from diffshadow.settings import rules
 from diffshadow.study.remarks._layout import frames_remarks
@@ -485,7 +485,7 @@ def test_run_folder_says_what_was_done_and_does_it_again(finished):
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize(
-    ("kind", "where", "images", "end"), [("render", "_render", 1, "-render"), ("fit", "_fitted", 2, "")]
+    ("kind", "where", "images", "end"), [("render", "_render", 1, "-render"), ("fit", "_visibility", 2, "")]
 )
 def test_figures_are_of_the_same_run_as_the_numbers(kind, where, images, end, monkeypatch):
     module = importlib.import_module(f"diffshadow.study.runs.{where}")

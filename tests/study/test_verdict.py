@@ -1,17 +1,18 @@
 """Verdicts on fits: references that are no pictures of the scene, starts that are the best, and what to try."""
 
 import dataclasses
-from types import SimpleNamespace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scenes import floor_and_card, side_camera, sun
 
-from diffshadow import fit, reference
+from diffshadow import fit, reference, shadow
 from diffshadow.config import parse_config
 from diffshadow.geometry import Scene
 from diffshadow.study._drawn import Drawn
 from diffshadow.study.pages._table import knee_text
+from diffshadow.study.record._runs import FrontPoint
 from diffshadow.study.remarks._fit import remarks
 from diffshadow.study.remarks._verdict import verdict
 from diffshadow.study.runs._explained import Fitted, unexplained
@@ -114,16 +115,16 @@ def outcome(result="successful"):
     return fit.Outcome(0.1, 3, result, 1e-9, 0.01, (9.9999,))
 
 
-def plan(**changes):
-    parameters = [fit.Parameter(name, 2.0, 0.0, 10.0) for name in NAMES]
-    settings = {"arrangement": None, "starts": 1, "tolerance": 0.01, "prefer": (), "front": 0}
-    return SimpleNamespace(parameters=parameters, **{**settings, **changes})
+TECHNIQUE = shadow.ShadowMapping(shadow.Nearest(), shadow.Bias())
+MOVED = object.__new__(fit.Arrangement)
+PARAMETERS = tuple(fit.Parameter(name, 2.0, 0.0, 10.0) for name in NAMES)
 
 
 def result(errors=(0.2, 0.1), initial=2.0, values=5.0, **changes):
     at = lambda value: dict.fromkeys(NAMES, value)
-    found = fit.FitResult(None, at(initial), at(values), [outcome()], 0, [], [], 0.0, 0.0)
-    return found._replace(errors=errors, **changes)
+    found = {"technique": TECHNIQUE, "initial": at(initial), "fitted": at(values), "phases": [outcome()], "chosen": 0}
+    found |= {"history": [], "flat": [], "seconds_compiling": 0.0, "seconds_running": 0.0, "parameters": PARAMETERS}
+    return fit.FitResult(**{**found, "errors": errors, **changes})
 
 
 def test_a_start_that_is_the_best_is_no_failure():
@@ -133,33 +134,35 @@ def test_a_start_that_is_the_best_is_no_failure():
     same = result((0.1, 0.1), values=2.0, chosen=-1, **cut_short)
     near = result((0.1004, 0.1), **cut_short, **on_bound)
     for found, said in ((same, "no values that the fit tried"), (near, "within 1 %: their RMSE is 0.1004, and the")):
-        of = verdict(config, plan(), found, 0.1004, 0.1, None)
+        of = verdict(config, found, 0.1004, 0.1, None)
         assert of.kind == "best already"
         assert of.sentence.startswith("your settings are already the best")
         assert said in of.sentence
-        assert remarks(config, plan(), found, of.kind) == []
-    preferred = verdict(config, plan(prefer=(("bias.constant", "lower"),)), near, 0.1, 0.1005, None)
+        assert remarks(config, found, of.kind) == []
+    preferred = verdict(
+        config, replace(near, sureness=fit.Sureness(prefer=(("bias.constant", "lower"),))), 0.1, 0.1005, None
+    )
     assert "the values that fit.prefer chose have 0.1005" in preferred.sentence
     # Of several starts, another one may have led to the result.
-    assert verdict(config, plan(), result((0.1, 0.1), initial=3.0), 0.2, 0.1, None).kind == "fitted"
-    assert verdict(config, plan(), result((0.102, 0.1)), 0.102, 0.1, None).kind == "fitted"
+    assert verdict(config, result((0.1, 0.1), initial=3.0), 0.2, 0.1, None).kind == "fitted"
+    assert verdict(config, result((0.102, 0.1)), 0.102, 0.1, None).kind == "fitted"
 
 
 def test_a_fit_without_any_slope_is_not_called_the_best():
     found = result((0.1, 0.1), values=2.0, chosen=-1, flat=list(NAMES))
-    of = verdict(parse_config(BASE), plan(), found, 0.1, 0.1, None)
+    of = verdict(parse_config(BASE), found, 0.1, 0.1, None)
     assert of.kind == "nothing fitted"
     assert "does not change with bias.constant and filter.radius" in of.sentence
 
 
 def test_a_fit_says_by_how_much_the_error_fell():
     config = parse_config(BASE)
-    of = verdict(config, plan(), result(), 0.2, 0.1, None)
+    of = verdict(config, result(), 0.2, 0.1, None)
     assert of.sentence.endswith("from 0.2000 to 0.1000 RMSE, by a factor of 2.0, in 3 steps")
-    of = verdict(config, plan(), result(), 0.1, 0.096, None)
+    of = verdict(config, result(), 0.1, 0.096, None)
     assert of.sentence.endswith("from 0.1000 to 0.0960 RMSE, by 4.0 %, in 3 steps")
     # Of another loss than the RMSE, which may rise.
-    of = verdict(config, plan(), result(), 0.1, 0.11, None)
+    of = verdict(config, result(), 0.1, 0.11, None)
     assert "changed the RMSE from 0.1000 to 0.1100 in 3 steps; the fit's own loss fell from 0.04 to 0.01" in of.sentence
 
 
@@ -168,14 +171,14 @@ def test_an_unexplained_reference_comes_first_and_silences_what_means_nothing():
     found = unexplained([fitted(TRUE.visibility[::-1])])
     on_bound = [fit.AtBound("filter.radius", "upper", 10.0, True)]
     fallen = result(at_bounds=on_bound, phases=[outcome("max_steps reached")])
-    of = verdict(config, plan(), fallen, 0.5, 0.45, found)
+    of = verdict(config, fallen, 0.5, 0.45, found)
     assert of.kind == "unexplained"
     assert of.sentence.startswith("the fit does not explain its image: ")
     assert of.remedies[0].startswith("flip the reference upside down: rays in this scene then differ from it by 0.0000")
-    assert remarks(config, plan(), fallen, of.kind) == []
-    moved = fallen._replace(arrangement=True, precision=fit.Precision(NAMES, {}, [], [NAMES]))
-    assert remarks(config, plan(), moved, of.kind) == []
-    assert "the image hardly determines bias.constant and filter.radius" in remarks(config, plan(), moved)[0]
+    assert remarks(config, fallen, of.kind) == []
+    moved = replace(fallen, arrangement=MOVED, precision=fit.Precision(NAMES, {}, [], [NAMES]))
+    assert remarks(config, moved, of.kind) == []
+    assert "the image hardly determines bias.constant and filter.radius" in remarks(config, moved)[0]
 
 
 @pytest.mark.parametrize(
@@ -191,7 +194,9 @@ def test_an_unexplained_reference_comes_first_and_silences_what_means_nothing():
 def test_remedies_suit_what_is_wrong(truth, moves, starts, said):
     truth = reference.trace_visibility(scene([-0.8, -1.0, 0.5])).visibility if truth is None else truth
     found = unexplained([fitted(truth)])
-    of = verdict(parse_config(BASE), plan(arrangement=moves or None, starts=starts), result(), 0.5, 0.45, found)
+    of = verdict(
+        parse_config(BASE), result(arrangement=MOVED if moves else None, search=fit.Search(starts)), 0.5, 0.45, found
+    )
     assert len(of.remedies) == len(said)
     for remedy, start in zip(of.remedies, said, strict=True):
         assert start in remedy
@@ -217,7 +222,7 @@ def test_wider_bounds_are_advised_only_where_the_error_falls_beyond_a_bound_that
     config = parse_config(BASE.replace("}}", "}, light: {angular_radius: 1}}") + "bias: {terms: {one: 0}}")
     parameter = fit.Parameter(name, 0.0, -20.0, 20.0)
     found = result(at_bounds=[fit.AtBound(name, side, bound, falls)])
-    told = remarks(config, SimpleNamespace(parameters=[parameter], front=0), found)
+    told = remarks(config, replace(found, parameters=(parameter,)))
     assert len(told) == (said is not None)
     assert all(said in each for each in told)
 
@@ -235,17 +240,20 @@ def test_wider_bounds_are_advised_only_where_the_error_falls_beyond_a_bound_that
 )
 def test_more_steps_are_advised_only_where_the_error_still_fell(losses, moves, is_said):
     history = [fit.Step(0, i, 0.0, loss, (5.0, 5.0)) for i, loss in enumerate(losses)]
-    found = result(phases=[outcome("max_steps reached")], history=history, arrangement=moves or None)
-    told = remarks(parse_config(BASE), plan(), found)
+    found = result(phases=[outcome("max_steps reached")], history=history, arrangement=MOVED if moves else None)
+    told = remarks(parse_config(BASE), found)
     assert len(told) == is_said
     assert all("did not converge" in each and "raise fit.solver.max_steps" in each for each in told)
 
 
 def test_a_front_of_fewer_points_than_asked_for_is_remarked_on():
     points = [fit.FrontPoint((5.0, 5.0), 0.1, 0.1, 1.0, 0.14)] * 3
-    assert remarks(parse_config(BASE), plan(front=3), result(front=points)) == []
-    (said,) = remarks(parse_config(BASE), plan(front=9), result(front=points))
+    assert remarks(parse_config(BASE), result(front=points, sureness=fit.Sureness(front=3))) == []
+    (said,) = remarks(parse_config(BASE), result(front=points, sureness=fit.Sureness(front=9)))
     assert said.startswith("fit.front is 9, and the front has 3 points: no other settings")
+    # Of a fit that was made in Python.
+    (said,) = remarks(None, result(front=points, sureness=fit.Sureness(front=9)))
+    assert said.startswith("Sureness.front is 9, and the front has 3 points")
 
 
 @pytest.mark.parametrize(
@@ -258,12 +266,14 @@ def test_a_front_of_fewer_points_than_asked_for_is_remarked_on():
     ],
 )
 def test_what_the_knee_of_a_front_costs_is_said(errors, knee, said):
-    assert knee_text([(error, i == knee) for i, error in enumerate(errors)]) == said
+    point = {"values": {"bias.constant": 1.0}, "false_shadow": 0.1, "false_light": 0.1}
+    front = [FrontPoint(**point, rmse=error, is_knee=i == knee) for i, error in enumerate(errors)]
+    assert knee_text(front) == said
 
 
 def test_a_solver_that_failed_is_reported_whatever_its_history():
     found = result(phases=[outcome("the loss is not finite near the solution")])
-    (said,) = remarks(parse_config(BASE), plan(), found)
+    (said,) = remarks(parse_config(BASE), found)
     assert said.endswith("the loss is not finite near the solution")
 
 
@@ -285,9 +295,8 @@ ALBEDO = "scene.meshes.0.albedo.red"
     ],
 )
 def test_at_the_limit_of_a_number_of_a_picture_no_wider_bounds_are_advised(name, side, bound, falls, said):
-    found = result(at_bounds=[fit.AtBound(name, side, bound, falls)], problems=(OF_PICTURE,), arrangement=True)
-    asked = SimpleNamespace(parameters=[fit.Parameter(name, 0.5, -20.0, 20.0)], front=0)
-    told = remarks(parse_config(COLOURED), asked, found)
+    found = result(at_bounds=[fit.AtBound(name, side, bound, falls)], problems=(OF_PICTURE,), arrangement=MOVED)
+    told = remarks(parse_config(COLOURED), replace(found, parameters=(fit.Parameter(name, 0.5, -20.0, 20.0),)))
     assert len(told) == (said is not None)
     for each in told:
         assert said in each
@@ -301,22 +310,22 @@ def test_a_fit_that_was_cut_short_is_not_called_the_best():
     undetermined = fit.Precision(NAMES, {}, [], [NAMES])
     for problems, what in (((), "bias.constant"), ((OF_PICTURE,), "bias.constant")):
         found = result((0.1, 0.1), values=2.0, chosen=1, phases=phases, history=history, problems=problems)
-        found = found._replace(arrangement=bool(problems) or None, precision=undetermined)
-        of = verdict(parse_config(COLOURED), plan(), found, 0.113, 0.113, None)
+        found = replace(found, arrangement=MOVED if problems else None, precision=undetermined)
+        of = verdict(parse_config(COLOURED), found, 0.113, 0.113, None)
         assert of.kind == "cut short"
         assert "ended before it converged: its RMSE stayed at 0.1130 in 2 steps" in of.sentence
-        told = remarks(parse_config(COLOURED), plan(), found, of.kind)
+        told = remarks(parse_config(COLOURED), found, of.kind)
         assert told[0].startswith("the solver did not converge in the phase that gave the result")
         assert told[0].endswith("max_steps reached: raise fit.solver.max_steps")
         assert not any(f"hardly determines {what}" in each for each in told)
     # No phase was better than the start.
-    lost = found._replace(chosen=-1)
-    of = verdict(parse_config(COLOURED), plan(), lost, 0.113, 0.113, None)
+    lost = replace(found, chosen=-1)
+    of = verdict(parse_config(COLOURED), lost, 0.113, 0.113, None)
     assert of.kind == "cut short"
-    assert "in its last phase, and no phase ended better" in remarks(parse_config(COLOURED), plan(), lost, of.kind)[0]
+    assert "in its last phase, and no phase ended better" in remarks(parse_config(COLOURED), lost, of.kind)[0]
     # A loss that had settled is no reason.
     settled = [fit.Step(1, i, 0.1, loss, (2.0, 2.0)) for i, loss in enumerate([1, 0.5, 0.1, 0.1, 0.1, 0.1, 0.1])]
-    assert verdict(parse_config(BASE), plan(), found._replace(history=settled), 0.1, 0.1, None).kind == "best already"
+    assert verdict(parse_config(BASE), replace(found, history=settled), 0.1, 0.1, None).kind == "best already"
 
 
 def test_what_profiles_alone_gained_is_said():
@@ -324,20 +333,20 @@ def test_what_profiles_alone_gained_is_said():
     profile = fit.Profile("bias.constant", (5.0, 0.1), [], [fit.Interval(0.01, end(4.9), end(5.1))])
     at_start = [outcome()._replace(values=(2.0, 2.0))]
     best = dict.fromkeys(NAMES, 5.0)
-    by_profiles = result(phases=at_start, profiles=[profile], best=best, parameters=tuple(plan().parameters))
-    for found in (by_profiles, by_profiles._replace(chosen=-1)):
-        (said,) = remarks(parse_config(BASE), plan(), found)
+    by_profiles = result(phases=at_start, profiles=[profile], best=best)
+    for found in (by_profiles, replace(by_profiles, chosen=-1)):
+        (said,) = remarks(parse_config(BASE), found)
         assert said.startswith("the solver found nothing better than the start: all that the fit gained was found by")
         assert "fit.intervals" in said
-    by_solver = by_profiles._replace(phases=[outcome()._replace(values=(4.0, 5.0))])
-    assert remarks(parse_config(BASE), plan(), by_solver) == []
+    by_solver = replace(by_profiles, phases=[outcome()._replace(values=(4.0, 5.0))])
+    assert remarks(parse_config(BASE), by_solver) == []
 
 
 def test_the_verdict_and_the_remarks_of_a_picture_name_the_picture():
-    config, fell = parse_config(COLOURED), result(problems=(OF_PICTURE,), arrangement=True)
-    said = verdict(config, plan(), fell, 0.2, 0.1, None).sentence
+    config, fell = parse_config(COLOURED), result(problems=(OF_PICTURE,), arrangement=MOVED)
+    said = verdict(config, fell, 0.2, 0.1, None).sentence
     assert "reduced the picture's error from 0.2000 to 0.1000 RMSE, by a factor of 2.0" in said
-    loose = fell._replace(flat=[ALBEDO], precision=fit.Precision(NAMES, {}, [], [NAMES]))
-    flat, undetermined = remarks(config, plan(), loose)
+    loose = replace(fell, flat=[ALBEDO], precision=fit.Precision(NAMES, {}, [], [NAMES]))
+    flat, undetermined = remarks(config, loose)
     assert flat.startswith(f"{ALBEDO} was not fitted: its gradient is zero throughout, since no pixel of the picture")
     assert undetermined.startswith("the picture hardly determines bias.constant and filter.radius")

@@ -183,8 +183,8 @@ def test_a_fit_from_the_page_is_the_commands(tmp_path):
     assert done.wait(120)
     assert "error" not in news[-1]
     with staying_in(tmp_path):
-        result = read_run(run_fit(parse_config(viewer.save(state)["yaml"]), console=Console(quiet=True))).result
-    assert news[-1]["values"] == {name: float(f"{value:.8g}") for name, value in result["fitted"].items()}
+        result = read_run(run_fit(parse_config(viewer.save(state)["yaml"]), console=Console(quiet=True))).record
+    assert news[-1]["values"] == {name: float(f"{value:.8g}") for name, value in result.fitted.items()}
     assert sum(bool(each.get("step")) for each in news) == len(viewer.fit.state["steps"]) > 2
     assert viewer.fit.state["steps"][0]["error"] > viewer.fit.state["steps"][-1]["error"]
 
@@ -234,7 +234,7 @@ def test_references_get_better_and_give_the_figures_of_a_render(viewer, tmp_path
         saved = parse_config(viewer.save(seen.state)["yaml"])
         errors = read_run(run_render(saved, console=Console(quiet=True))).errors[0][1]
     for name in ("rmse", "false_shadow_rate", "false_light_rate"):
-        assert shown.about["figures"][name] == pytest.approx(errors[name], rel=1e-5, abs=1e-7)
+        assert shown.about["figures"][name] == pytest.approx(getattr(errors, name), rel=1e-5, abs=1e-7)
     frame = viewer.frame(seen, full=True)
     assert figures_of(frame, truth) == shown.about["figures"]
     lit = dataclasses.replace(truth, visibility=np.ones_like(truth.visibility))

@@ -1,5 +1,7 @@
-"""Builds cameras and lights from their sections."""
+"""Builds the scene of a configuration: its meshes, its camera and its lights."""
 
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import NamedTuple
 
 import numpy as np
@@ -9,16 +11,22 @@ from ... import geometry, shadow
 from ..._arithmetic import as_float
 from ..._types import HostArray, Vec3
 from ...settings import scene
-from ..framing._meshes import Triple
-from ..sections._lights import (
+from ...settings.techniques import Mapped
+from .._errors import ConfigError, KeyPath, Location, Mistake, dotted
+from ..framing._meshes import Placed, Triple, place_mesh
+from ..sections._config import Config
+from ..sections._scene import (
     DirectionalLightConfig,
+    OrthographicCameraConfig,
+    PinholeCameraConfig,
     PointLightConfig,
     RectangleLightConfig,
     ShadowCamera,
     SpotLightConfig,
 )
-from ..sections._scene import OrthographicCameraConfig, PinholeCameraConfig
 
+# 120 bytes per triangle, with normals, colours and indices.
+_MAX_TRIANGLES = 1 << 25
 # Margin around the scene along the view axis, as a fraction of its depth.
 _MARGIN = 0.01
 # Minimum near distance of a perspective view, as a fraction of far: a nearer plane would waste depth precision.
@@ -52,6 +60,140 @@ def stage_of(
     middle = np.asarray(first.bounds).mean(axis=0)
     radius = float(np.linalg.norm(corners - middle, axis=-1).max())
     return Stage(used(whole), used(casters), middle, radius, origin)
+
+
+class StagedMeshes(NamedTuple):
+    """The meshes of a configuration, and the stage that its camera and its lights are placed on."""
+
+    meshes: list[geometry.Mesh]
+    stage: Stage
+
+    def scene(
+        self, config: Config, camera: geometry.AbstractCamera, lights: Sequence[geometry.AbstractLight]
+    ) -> geometry.Scene:
+        """The scene of `config` with this `camera` and these `lights`."""
+        casts = tuple(mesh.casts for mesh in config.scene.meshes)
+        receives = tuple(mesh.receives for mesh in config.scene.meshes)
+        return geometry.Scene(self.meshes, camera, lights, casts, receives, self.stage.origin)
+
+
+@contextmanager
+def blame(config: Config, path: KeyPath, origin: geometry.Origin = geometry.WORLD) -> Iterator[None]:
+    """Reports errors raised inside as mistakes of the key at `path`. Coordinates in their texts are counted from
+    `origin`."""
+    try:
+        yield
+    except ConfigError:
+        raise
+    except geometry.OptionError as error:
+        raise ConfigError([Mistake(*at(config, (*path, "options", error.option)), error.what)]) from error
+    except (ValueError, OSError) as error:
+        where = "" if origin == geometry.WORLD else f" (coordinates are counted from the scene's origin, {[*origin]})"
+        raise ConfigError([Mistake(*at(config, path), f"{error}{where}")]) from error
+
+
+def at(config: Config, path: KeyPath) -> tuple[Location, str]:
+    """Where the key at `path` was written, and its name."""
+    return config.origin.place(path), dotted(path)
+
+
+def build_scene(config: Config, staged: StagedMeshes | None = None) -> geometry.Scene:
+    """The scene of `config`: its meshes, its camera and its lights, all counted from the scene's origin.
+
+    **Arguments:** `staged`: the meshes of `config`, if `build_meshes` has made them before.
+
+    Warns with `io.MeshWarning` about contents of mesh files other than triangles.
+
+    **Raises** `ConfigError` for each mesh, camera or light that cannot be made, with its key, and for an open mesh that
+    casts if only back faces cast.
+
+    !!! Example
+
+        ```python
+        settings = config.parse_config("scene: {meshes: [{path: builtin:torus}], camera: {resolution: [32, 32]}}")
+        config.build_scene(settings).camera.resolution  # (32, 32)
+        ```
+    """
+    staged = build_meshes(config) if staged is None else staged
+    return staged.scene(config, build_camera(config, staged), build_lights(config, staged))
+
+
+def build_meshes(config: Config) -> StagedMeshes:
+    """The meshes of `config`, and what its camera and its lights are placed relative to.
+
+    **Raises** `ConfigError` as `build_scene` does.
+    """
+    placed = _meshes_of(config)
+    origin = geometry.origin_of(np.concatenate([mesh.bounds for mesh in placed]))
+    meshes = [mesh.counted_from(origin) for mesh in placed]
+    _check_closed(config, meshes)
+    casts = [mesh.casts for mesh in config.scene.meshes]
+    casters = geometry.merge([mesh for mesh, does in zip(meshes, casts, strict=True) if does])
+    return StagedMeshes(meshes, stage_of(geometry.merge(meshes), casters, meshes[0], origin))
+
+
+def build_camera(config: Config, staged: StagedMeshes) -> geometry.AbstractCamera:
+    """The camera of `config`.
+
+    **Raises** `ConfigError` if it cannot be made.
+    """
+    with blame(config, ("scene", "camera"), staged.stage.origin):
+        return camera_on(config.scene.camera, staged.stage)
+
+
+def build_lights(config: Config, staged: StagedMeshes) -> list[geometry.AbstractLight]:
+    """The lights of `config`.
+
+    **Raises** `ConfigError` if one cannot be made.
+    """
+    lights = []
+    for key, light in config.scene.each_light.items():
+        with blame(config, ("scene", *key), staged.stage.origin):
+            lights.append(light_on(light, staged.stage))
+    return lights
+
+
+def _meshes_of(config: Config) -> list[Placed]:
+    """The scene's meshes, in the world.
+
+    **Raises** `ConfigError` with a mistake for each mesh that cannot be made.
+    """
+    meshes, mistakes, triangles = [], [], 0
+    for i, section in enumerate(config.scene.meshes):
+        try:
+            with blame(config, ("scene", "meshes", i)):
+                mesh = place_mesh(section)
+                triangles += mesh.faces.shape[0]
+                if triangles > _MAX_TRIANGLES:
+                    raise ValueError(
+                        f"brings the scene to {triangles:,} triangles; expected at most {_MAX_TRIANGLES:,}, which "
+                        "take 4 GB; simplify it, or leave meshes out"
+                    )
+                meshes.append(mesh)
+        except ConfigError as error:
+            mistakes += error.mistakes
+            if triangles > _MAX_TRIANGLES:
+                break
+    if mistakes:
+        raise ConfigError(mistakes)
+    return meshes
+
+
+def _check_closed(config: Config, meshes: list[geometry.Mesh]) -> None:
+    """**Raises** `ConfigError` for every open mesh that casts, if only back faces cast."""
+    if not isinstance(config.technique, Mapped) or config.shadow_map.cull != "front":
+        return
+    what = (
+        "is an open mesh that casts shadows, while shadow_map.cull is front; expected closed meshes, since only back "
+        "faces cast: set casts: false if it only receives, or shadow_map.cull to none"
+    )
+    mistakes = [
+        Mistake(*at(config, ("scene", "meshes", i)), what)
+        for i, (mesh, section) in enumerate(zip(meshes, config.scene.meshes, strict=True))
+        if section.casts and not geometry.Edges.of(mesh).is_closed
+    ]
+    if mistakes:
+        raise ConfigError(mistakes)
 
 
 def camera_on(config: scene.Camera, stage: Stage) -> geometry.AbstractCamera:

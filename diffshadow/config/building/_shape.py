@@ -1,6 +1,7 @@
 """Builds a fit of a shape: a screen behind the shape for each light, and the meshes whose shadows fall on it."""
 
 import dataclasses
+import functools
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from typing import Any, NamedTuple
@@ -14,11 +15,12 @@ from ..._types import HostArray, Resolution
 from ...settings import scene
 from .._errors import KeyPath
 from ..framing._meshes import build_mesh
-from ..sections._lights import DirectionalLightConfig
+from ..sections._config import Config
+from ..sections._fit import ShapeConfig
+from ..sections._scene import DirectionalLightConfig
 from ..sections._section import changed
-from ..sections._shape import ShapeConfig
-from ..whole._schema import Config
 from ._scene import Stage, light_on
+from ._scene import blame as blame_of
 
 Blame = Callable[[KeyPath], AbstractContextManager[None]]
 
@@ -99,11 +101,12 @@ class ShapePlan(NamedTuple):
     remarks: list[str]
 
 
-def plan_shape(config: Config, blame: Blame) -> ShapePlan:
-    """The plan of `config`, whose section `fit.shape` is given.
+def build_shape(config: Config) -> ShapePlan:
+    """The lights, screens and meshes of a fit of a shape.
 
     **Raises** `ConfigError` for a mesh, a light or an image that cannot be used.
     """
+    blame = functools.partial(blame_of, config)
     shape, here = config.fit.shape, ("fit", "shape")
     assert shape is not None
     meshes = []

@@ -1,15 +1,19 @@
-"""Builds filters, biases and compares from their sections."""
+"""Builds the technique and the shading of a configuration."""
 
 from typing import Any
 
-from ... import shadow
+from ... import shading, shadow
 from ...settings import Settings
 from ...settings.biases import NoPlane
+from ...settings.engines import Engine
 from ...settings.maps import Compare, HardCompare, SoftCompare
 from ...settings.patterns import Pattern
-from ...settings.techniques import Cascades, FittedLayout
+from ...settings.shading import INTENSITY, ModulatedShadow
+from ...settings.techniques import Cascades, FittedLayout, Mapped
+from ..sections._config import Config
 from ..sections._section import settings_of
-from ..whole._schema import Config
+from ..sections._technique import BiasConfig
+from ._scene import blame
 
 # The module that each class of settings describes.
 _MODULES: dict[type[Settings], Any] = {
@@ -20,6 +24,72 @@ _MODULES: dict[type[Settings], Any] = {
 _PATTERNS = {"poisson": "poisson_disk"}
 
 
+def build_technique(config: Config, *, fitting: bool = True) -> shadow.AbstractTechnique:
+    """The technique of `config`.
+
+    **Arguments:**
+
+    - `fitting`: whether its numbers may later be set to any value within the bounds of their fit. Otherwise the section
+        `fit` is ignored: a box filter takes only the taps that the radius of `config` needs.
+
+    **Raises** `ConfigError` if its parts cannot be made.
+    """
+    if isinstance(config.technique, Mapped | Engine):
+        return build_fittable(config, fitting=fitting)
+    with blame(config, ("technique",)):
+        return module_of(config.technique)(**values_of(config.technique))
+
+
+def build_shadow_mapping(config: Config, *, fitting: bool = True) -> shadow.ShadowMapping:
+    """The shadow mapping of `config`, even if its technique is another one; otherwise as `build_technique`."""
+    config = config.with_starts() if fitting else config
+    with blame(config, ("bias",)):
+        bias = build_bias(config.bias)
+    with blame(config, ("compare",)):
+        compare = build_compare(config.compare)
+    with blame(config, ("filter",)):
+        kernel = build_filter(config, fitting=fitting)
+    settings = shadow.MapSettings(**values_of(config.shadow_map))
+    with blame(config, ("technique",)):
+        return shadow.ShadowMapping(kernel, bias, compare, settings, build_layout(config, fitting=fitting))
+
+
+def build_fittable(config: Config, *, fitting: bool = True) -> Any:
+    """The technique of `config` that a fit changes: an engine's, a user's, or shadow mapping; otherwise as
+    `build_technique`."""
+    section = config.technique
+    if not section.is_whole:
+        return build_shadow_mapping(config, fitting=fitting)
+    with blame(config, ("technique",)):
+        if not isinstance(section, Engine):
+            return module_of(section)(**values_of(section))
+        return module_of(section)(resolution=config.shadow_map.resolution, **values_of(section))
+
+
+def build_shading(config: Config) -> shading.AbstractShading:
+    """The shading of `config`.
+
+    **Raises** `ConfigError` if it cannot be made.
+    """
+    section, lights = config.shading, len(config.scene.each_light)
+    intensity = INTENSITY / lights if section.intensity is None else section.intensity
+    intensities = section.intensities
+    if intensities is None and section.fits_each_intensity(config):
+        intensities = (intensity,) * lights
+    with blame(config, ("shading",)):
+        phong = shading.Phong(
+            ambient=section.ambient,
+            intensity=intensity,
+            intensities=intensities,
+            specular=section.specular,
+            shininess=section.shininess,
+            background=section.background,
+            attenuation=shading.Attenuation(**values_of(section.attenuation)),
+            model=section.model,
+        )
+        return shading.ModulatedShadow(phong, section.factor) if isinstance(section, ModulatedShadow) else phong
+
+
 def build_filter(config: Config, *, fitting: bool) -> shadow.AbstractFilter:
     """The filter of `config`: the module that its section describes, with the section's keys as arguments.
 
@@ -28,7 +98,7 @@ def build_filter(config: Config, *, fitting: bool) -> shadow.AbstractFilter:
     - `fitting`: whether its numbers may later be set to any value within the bounds of their fit.
     """
     section = config.filter
-    arguments = _arguments(config, "filter", fitting=fitting)
+    arguments = values_of(section)
     if isinstance(section, Pattern):
         for key in Pattern.each():
             del arguments[key]
@@ -43,18 +113,17 @@ def build_filter(config: Config, *, fitting: bool) -> shadow.AbstractFilter:
     return module_of(section)(**arguments)
 
 
-def build_bias(config: Config, *, fitting: bool) -> shadow.Bias:
-    """The bias of `config`; `fitting` as for `build_filter`."""
-    given = _arguments(config, "bias", fitting=fitting)
+def build_bias(section: BiasConfig) -> shadow.Bias:
+    """The bias of a configuration."""
     return shadow.Bias(
-        constant=shadow.ConstantBias(given["constant"], given["unit"]),
+        constant=shadow.ConstantBias(section.constant, section.unit),
         slope=shadow.SlopeBias(
-            given["slope"], given["slope_profile"], given["slope_least"], given["slope_most"], given["unit"]
+            section.slope, section.slope_profile, section.slope_least, section.slope_most, section.unit
         ),
-        normal_offset=shadow.NormalOffset(given["normal_offset"], given["normal_offset_profile"]),
-        plane=_plane(config, fitting=fitting),
-        factors=given["factors"],
-        terms=_terms(config, fitting=fitting),
+        normal_offset=shadow.NormalOffset(section.normal_offset, section.normal_offset_profile),
+        plane=None if isinstance(section.plane, NoPlane) else module_of(section.plane)(**values_of(section.plane)),
+        factors=section.factors,
+        terms=_terms(section),
     )
 
 
@@ -73,11 +142,11 @@ def build_layout(config: Config, *, fitting: bool) -> shadow.AbstractLayout:
     if not isinstance(config.technique, FittedLayout):
         return shadow.SingleMap()
     bounds = config.fit.parameters if fitting else {}
-    laid_out: Any = config.laid_out(bounds)
-    arguments = _arguments(config, "technique", fitting=fitting) | {"margin": laid_out.margin}
-    if isinstance(laid_out, Cascades):
-        arguments |= {"max_blend": laid_out.max_blend, "max_share": config.max_share(bounds)}
-    return module_of(config.technique)(**arguments)
+    section = config.laid_out(bounds)
+    arguments = values_of(section)
+    if isinstance(section, Cascades):
+        arguments["max_share"] = section.max_share(bounds)
+    return module_of(section)(**arguments)
 
 
 def module_of(section: Any) -> Any:
@@ -101,27 +170,14 @@ def _guarded(settings: type[Settings]) -> Any:
     return make
 
 
-def _terms(config: Config, *, fitting: bool) -> shadow.AbstractBias | None:
-    given = _arguments(config, "bias.terms", fitting=fitting)
-    weights = {key: weight for key, weight in given.items() if weight is not None}
-    linear, network = shadow.LinearBias(weights) if weights else None, config.bias.network
+def _terms(section: BiasConfig) -> shadow.AbstractBias | None:
+    weights = {key: weight for key, weight in values_of(section.terms).items() if weight is not None}
+    linear, network = shadow.LinearBias(weights) if weights else None, section.network
     if linear is None or network is None:
         return linear
     return shadow.PerceptronBias.of(linear, [(layer.weight, layer.bias) for layer in network.hidden], network.last)
 
 
-def _plane(config: Config, *, fitting: bool) -> shadow.AbstractBias | None:
-    if isinstance(config.bias.plane, NoPlane):
-        return None
-    return module_of(config.bias.plane)(**_arguments(config, "bias.plane", fitting=fitting))
-
-
-def _arguments(config: Config, holder: str, *, fitting: bool) -> dict[str, Any]:
-    """The values of the keys of the section `holder`. With `fitting`, keys that are fitted have numbers."""
-    section: Any = config
-    for key in holder.split("."):
-        section = getattr(section, key)
-    values = {key: getattr(section, key) for key in type(section).model_fields if key != "type"}
-    # A key that is not set has the fit's initial value, if it is fitted.
-    starts = {key for key, value in values.items() if value is None and f"{holder}.{key}" in config.fit.parameters}
-    return values | {key: config.initial(f"{holder}.{key}") for key in starts if fitting}
+def values_of(section: Any) -> dict[str, Any]:
+    """The values of a section's keys, without its type."""
+    return {key: getattr(section, key) for key in type(section).model_fields if key != "type"}

@@ -12,11 +12,15 @@ _SUN = ("azimuth", "elevation", "direction")
 
 
 class Asked(NamedTuple):
-    """Which parts are to be found: a camera without a place, a light of the type auto, and a ground."""
+    """Which parts are to be found: a camera without a place, a light of the type auto, and a ground.
+
+    - `sun`: whether the light must be a sun, since some of its angles are given.
+    """
 
     camera: bool
     light: bool
     ground: bool
+    sun: bool
 
 
 def spell_out(data: dict[str, Any]) -> None:
@@ -35,30 +39,21 @@ def spell_out(data: dict[str, Any]) -> None:
             scene["camera"] = {**camera, "orbit": {}}
 
 
-def asked_in(data: Mapping[str, Any]) -> Asked:
-    """The parts that `data` leaves to the program, whose other values may have any type."""
+def asked_in(data: dict[str, Any]) -> tuple[Asked, dict[str, Any]]:
+    """The parts that `data`, whose values may have any type, leaves to the program, which are spelled out; and the data
+    with a sun in place of a light that is to be found, to check all other values by."""
+    spell_out(data)
     scene = data.get("scene")
-    if not isinstance(scene, Mapping):
-        return Asked(False, False, False)
-    camera = scene.get("camera", {})
-    placeless = isinstance(camera, Mapping) and not given(camera, *_PLACE)
+    if not isinstance(scene, dict):
+        return Asked(False, False, False, False), data
+    camera, light = scene.get("camera", {}), scene.get("light")
     # The key of a place that is found would stand beside the key of the views.
-    placeless &= not _views_place(data, _PLACE)
-    return Asked(placeless, value_at(scene, "light", "type") == AUTO, scene.get("ground") == AUTO)
-
-
-def without_auto(data: dict[str, Any]) -> dict[str, Any]:
-    """`data` with a sun in place of a light that is to be found, to check all other values by."""
-    scene = data.get("scene")
-    if not asked_in(data).light or not isinstance(scene, dict):
-        return data
-    light = {key: value for key, value in scene["light"].items() if key != "type"}
-    return {**data, "scene": {**scene, "light": {"type": "directional", **light}}}
-
-
-def is_placed_sun(light: Mapping[str, Any]) -> bool:
-    """Whether a light that is to be found must be a sun, since some of its angles are given."""
-    return bool(given(light, *_SUN))
+    placeless = isinstance(camera, Mapping) and not given(camera, *_PLACE) and not _views_place(data, _PLACE)
+    ground = scene.get("ground") == AUTO
+    if not isinstance(light, Mapping) or light.get("type") != AUTO:
+        return Asked(placeless, False, ground, False), data
+    checked = {**data, "scene": {**scene, "light": {**light, "type": "directional"}}}
+    return Asked(placeless, True, ground, bool(given(light, *_SUN))), checked
 
 
 def _views_place(data: Any, keys: tuple[str, ...]) -> bool:

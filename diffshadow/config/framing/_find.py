@@ -13,10 +13,9 @@ from jaxtyping import Float
 from ... import geometry
 from ..._types import HostArray
 from ...settings import scene as settings
-from ..sections._lights import DirectionalLightConfig
-from ..sections._scene import MeshConfig, SceneConfig
-from ..whole._schema import Config
-from ._auto import Asked, is_placed_sun
+from ..sections._config import Config
+from ..sections._scene import DirectionalLightConfig, MeshConfig, SceneConfig
+from ._auto import Asked
 from ._meshes import place_mesh
 
 # Digits of lengths, counted from the scene's size.
@@ -51,7 +50,7 @@ def find(config: Config, scene: Mapping[str, Any], asked: Asked) -> Found | None
     lens, room_lens = _lens(camera, scene, None), _lens(camera, scene, geometry.ROOM_FOV)
     up = np.asarray(camera.up, float)
     light = None if asked.light else _given_light(config.scene, meshes[0])
-    if asked.light and is_placed_sun(scene["light"]):
+    if asked.sun:
         light = _given_light(config.scene, meshes[0])
     view = None if asked.camera else _given_camera(camera, meshes[0])
     given = geometry.Given(light, view, lens, room_lens, casts, up)

@@ -12,12 +12,11 @@ from ...settings.techniques import Mapped
 from .._errors import ConfigError, KeyPath, Mistake, Origin
 from ..sections._advise import LISTS, PARAMETERS, AdviseConfig, keys_set
 from ..sections._axes import LABEL
+from ..sections._config import Config
 from ..sections._section import type_of, value_at
 from ..sections._sweep import SweepConfig
 from ..sections._technique import TECHNIQUES, ShadowMapConfig
-from ..whole._schema import Config
-from ._draft import Draft
-from ._load import load_draft
+from ._draft import Draft, load_draft
 from ._mistakes import mistakes_of
 from ._sweep_runs import Progress, Sweep, SweepRuns
 

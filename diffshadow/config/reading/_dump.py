@@ -3,16 +3,14 @@
 import functools
 import pickle
 from collections.abc import Iterator, Mapping
-from functools import reduce
 from typing import Any, NamedTuple
 
 import yaml
 
 from .._errors import KeyPath, dotted, printable, show
-from ..sections._fitted import fit_paths, key_of
-from ..sections._poses import is_pose, pose_of
+from ..sections._config import Config
+from ..sections._fitted import fit_units
 from ..sections._section import Section
-from ..whole._schema import Config
 from ._keys import ROOT, Slot, keys_of, slot_of
 from ._yaml import plain_scalar
 
@@ -51,17 +49,6 @@ def describe(config: Config) -> list[Row]:
         else row
         for row in _rows(config, ROOT, ())
     ]
-
-
-def fit_units(config: Config) -> dict[str, str]:
-    """The unit of every number of the technique that can be fitted, and of every number of the scene that is."""
-    units = {}
-    for name in fit_paths(config):
-        holder, key, _ = key_of(name)
-        section = reduce(getattr, holder.split("."), config)
-        units[name] = section.units().get(key, slot_of(type(section).model_fields[key]).unit)
-    moved = {name: pose_of(config, name) for name in config.fit.parameters if is_pose(name)}
-    return units | {name: pose.unit for name, pose in moved.items() if pose is not None}
 
 
 def _plain(value: Any) -> Any:

@@ -8,10 +8,10 @@ from typing import Any, get_args, get_origin
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from ...settings import Setting, Unit, bare
+from ...settings import InputFile, Setting, Unit, bare
 from .._errors import KeyPath, dotted
+from ..sections._config import Config
 from ..sections._section import Section, Variants, marked, type_of
-from ..whole._schema import Config
 
 
 @dataclass(frozen=True)
@@ -98,15 +98,22 @@ def slot_of(field: FieldInfo) -> Slot:
     return Slot(*marked(field), default, field=field)
 
 
-def _all_keys(slot: Slot = ROOT, path: KeyPath = ()) -> Iterator[KeyPath]:
-    """The path of every key in the schema; entries of lists have the index 0."""
+def _all_keys(slot: Slot = ROOT, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Slot]]:
+    """The path and the slot of every key in the schema; entries of lists have the index 0."""
     for variant in slot.variants:
         for key, field in variant.model_fields.items():
             inner = slot_of(field)
-            yield (*path, key)
+            yield (*path, key), inner
             if get_origin(inner.kind) is tuple and (entry := _inside(inner, 0)) is not None and entry.variants:
                 yield from _all_keys(entry, (*path, key, 0))
             yield from _all_keys(inner, (*path, key))
+
+
+@functools.cache
+def file_marks() -> dict[str, InputFile]:
+    """The mark of each key that names an input file, by its dotted path without indices."""
+    marks = (([step for step in path if step != 0], mark) for path, slot in _all_keys() for mark in slot.marks)
+    return {dotted(path): mark for path, mark in marks if isinstance(mark, InputFile)}
 
 
 def places_of(key: str) -> tuple[str, ...]:
@@ -124,7 +131,7 @@ def is_key(name: str) -> bool:
 
 @functools.cache
 def _every_key() -> tuple[KeyPath, ...]:
-    return tuple(_all_keys())
+    return tuple(path for path, _ in _all_keys())
 
 
 def _inside(slot: Slot, step: str | int) -> Slot | None:

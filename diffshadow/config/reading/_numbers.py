@@ -1,15 +1,12 @@
 """The numbers and choices of a configuration that an interface can offer, from the schema."""
 
-from collections.abc import Iterator
-from functools import reduce
 from typing import Any, NamedTuple, get_origin
 
 from ...settings import Limits
-from ..sections._fitted import fit_paths, key_of
-from ..sections._lights import LIGHTS
-from ..sections._section import Section, changed
-from ..whole._schema import Config
-from ._dump import fit_units
+from ..sections._config import Config
+from ..sections._fitted import of_technique
+from ..sections._scene import LIGHTS
+from ..sections._section import Section
 from ._keys import Slot, keys_of, slot_of
 
 # Of a mesh, the numbers that keep its faces.
@@ -54,7 +51,9 @@ def numbers_of(config: Config) -> dict[str, Number]:
     found = {}
     for key, light in config.scene.each_light.items():
         found |= _within(light, ".".join(map(str, ("scene", *key))))
-    found |= {name: number for name, number in _of_technique(config) if number is not None}
+    for name, each in of_technique(config).items():
+        if each.value is not None:
+            found[name] = Number(each.value, each.unit, each.setting.limits, each.setting.meaning, is_fittable=True)
     for i, mesh in enumerate(config.scene.meshes):
         placed = _within(mesh, f"scene.meshes.{i}")
         found |= {name: number for name, number in placed.items() if name.split(".")[3] in _PLACEMENT}
@@ -79,52 +78,25 @@ def choices_of(config: Config) -> dict[str, Choice]:
 
 def with_number(config: Config, name: str, value: float) -> Config:
     """`config` with another `value` of one of `numbers_of`, which is not checked."""
-    return _put(config, name.split("."), value)
-
-
-def _put(holder: Any, keys: list[str], value: float) -> Any:
-    if not keys:
-        return value
-    if isinstance(holder, Section):
-        return changed(holder, **{keys[0]: _put(getattr(holder, keys[0]), keys[1:], value)})
-    at = int(keys[0])
-    return (*holder[:at], _put(holder[at], keys[1:], value), *holder[at + 1 :])
-
-
-def _of_technique(config: Config) -> Iterator[tuple[str, Number | None]]:
-    units = fit_units(config)
-    for name in fit_paths(config):
-        holder, key, index = key_of(name)
-        section = reduce(getattr, holder.split("."), config)
-        number = _number(section, key, index)
-        yield name, None if number is None else number._replace(unit=units[name], is_fittable=True)
+    return config.with_value(name.split("."), value)
 
 
 def _within(section: Any, path: str) -> dict[str, Number]:
-    """The numbers in `section` and in its inner ones."""
-    found = {}
+    """The numbers in `section` and in its inner ones that are fractions."""
+    found, units = {}, section.units()
     for key in keys_of(type(section)):
-        value = getattr(section, key)
+        value, slot, name = getattr(section, key), slot_of(type(section).model_fields[key]), f"{path}.{key}"
+        unit = units.get(key, slot.unit)
         if isinstance(value, Section):
-            found |= _within(value, f"{path}.{key}")
-        entries: Any = range(len(value)) if isinstance(value, tuple) else [None]
-        for index in entries:
-            number = _number(section, key, index)
-            if number is not None:
-                found[f"{path}.{key}" if index is None else f"{path}.{key}.{index}"] = number
+            found |= _within(value, name)
+        elif slot.kind is float and value is not None:
+            found[name] = Number(value, unit, slot.limits, slot.meaning)
+        elif get_origin(slot.kind) is tuple:
+            for i, each in enumerate(value or ()):
+                entry = slot.entry(i)
+                if entry.kind is float:
+                    found[f"{name}.{i}"] = Number(each, unit, entry.limits, slot.meaning)
     return found
-
-
-def _number(section: Any, key: str, index: int | None) -> Number | None:
-    """The number at `key`, or at `index` of its list; none if that is no fraction."""
-    slot, value = slot_of(type(section).model_fields[key]), getattr(section, key)
-    unit = section.units().get(key, slot.unit)
-    if index is None:
-        return Number(value, unit, slot.limits, slot.meaning) if slot.kind is float and value is not None else None
-    if get_origin(slot.kind) is not tuple or not isinstance(value[index], float | int):
-        return None
-    entry = slot.entry(index)
-    return Number(value[index], unit, entry.limits, slot.meaning) if entry.kind is float else None
 
 
 def _choices_within(section: Any, slot: Slot, path: str) -> dict[str, Choice]:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from pydantic_core import from_json
 
 from .._errors import ConfigError, Location, Mistake
-from ..whole._schema import Config
+from ..sections._config import Config
 from ._dump import dump_resolved
 from ._load import parse_config
 

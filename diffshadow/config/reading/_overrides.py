@@ -7,8 +7,7 @@ from typing import Any
 from .._errors import ConfigError, KeyPath, Location, Mistake, dotted, show
 from ..sections._axes import QuasiRandomAxisConfig
 from ..sections._fit import FitParameterConfig
-from ..sections._fitted import fit_paths
-from ..sections._poses import pose_of
+from ..sections._fitted import could_be_fitted
 from ..sections._section import is_index, value_at
 from ._yaml import has_surrogate, read_yaml
 
@@ -68,7 +67,7 @@ def _with_whole_names(data: Any, words: list[str], value: Any) -> list[str]:
     match words:
         case ["fit", "parameters", _, *_]:
             start, keys = 2, FitParameterConfig.model_fields
-            known = lambda name, rest: name in fit_paths(data) or pose_of(data, name) is not None or name in existing
+            known = lambda name, rest: could_be_fitted(name) or name in existing
         case ["sweep", *axes] | ["fit", "views" | "validation", *axes]:
             inner = {"grid": 1, "zip": 1, "files": 1, "qmc": 2, "path": 2}.get(axes[0] if axes else "", len(words))
             if axes[:1] == ["list"] and len(axes) > 2:

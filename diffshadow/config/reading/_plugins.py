@@ -18,10 +18,9 @@ from ...settings.filters import Filter
 from ...settings.fit import AnyLoss
 from ...settings.techniques import OwnTechnique
 from .._errors import Mistake, Origin, dotted
-from ..sections._filters import FILTERS
+from ..sections._fit import LOSSES
 from ..sections._section import Variants, value_at
-from ..sections._technique import TECHNIQUES
-from ..sections._views import LOSSES
+from ..sections._technique import FILTERS, TECHNIQUES
 
 COLON = ":"
 """What parts a module from a name in it."""

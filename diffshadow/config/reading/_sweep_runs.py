@@ -19,12 +19,14 @@ from ...settings.patterns import MAX_PATTERN_TAPS
 from ...settings.techniques import Mapped
 from .._errors import ConfigError, Mistake, Origin, show
 from ..sections._axes import LABEL
-from ..sections._filters import RandomDiskConfig
+from ..sections._config import Config
 from ..sections._scene import TEXTURE_KEYS
 from ..sections._sweep import SweepConfig
-from ..whole._schema import Config
+from ..sections._technique import RandomDiskConfig
 from ._axes import levels_of, steps_of, written
-from ._load import Draft, checked, load_draft
+from ._draft import Draft, load_draft
+from ._files import files_in
+from ._load import checked
 from ._mistakes import mistakes_of
 
 # Part of every id. Increase it when the same configuration gives different numbers.
@@ -309,20 +311,15 @@ def _with_values(mistake: Mistake, values: Mapping[str, Any]) -> Mistake:
 
 def _id_of(config: Config, settings: SweepConfig) -> str:
     data = config.model_dump(mode="json", warnings=False, exclude={"name", "output", "sweep", "advise"})
-    for mesh, section in zip(data["scene"]["meshes"], config.scene.meshes, strict=True):
-        if section.builtin is None:
-            mesh["path"] = _content_of(section.path)
+    for mesh in data["scene"]["meshes"]:
         # Without one, as before there were textures.
         for key in TEXTURE_KEYS:
             if mesh[key] is None:
                 del mesh[key]
-        if section.texture is not None:
-            mesh["texture"] = _content_of(section.texture)
-    for key in ("path", "mask"):
-        if file := getattr(config.reference, key, None):
-            data["reference"][key] = _content_of(file)
     for kind, views in (("views", config.views), ("validation", config.validation)):
         data["fit"][kind] = [_id_of(view.config, settings) for view in views]
+    for path, holder, file in [*files_in(data)]:
+        holder[path[-1]] = _content_of(file)
     whole = {
         "format": _FORMAT,
         "version": _version(),

@@ -1,11 +1,13 @@
-"""Configurations that come with the package, and files made from them."""
+"""Configurations that come with the package, and those that are made of a mesh file."""
 
 import os
 import re
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+from ...settings.scene import GLTF_SUFFIXES, MESH_SUFFIXES, NO_MESH_SUFFIXES
 from .._errors import ConfigError, Location, Mistake, nearest
 from ..sections._scene import BUILTIN
 from ._dump import dump
@@ -68,25 +70,150 @@ def template_text(name: str, *, source: str, file: str, scene: dict[str, Any] | 
     text = re.sub(r"^#   python experiments/.*\n", "", text, flags=re.MULTILINE)
     if scene is None:
         return text
-    data, *_ = read_yaml(text, lambda line, column: Location(source, line, column))
+    data = read_yaml(text, lambda line, column: Location(source, line, column)).data
     if "scene.meshes" in dump({key: part for key, part in data.items() if key != "scene"}):
         message = (
             f"the template {name} lists its meshes in the sections fit, sweep or advise; expected a template with one "
             "scene, such as quickstart; leave --mesh out, and edit the lists in the file"
         )
         raise ConfigError([Mistake(Location(source), "", message)])
-    resolution = (data["scene"].get("camera") or {}).get("resolution", [512, 512])
-    made = dump({"scene": {**scene, "camera": {"resolution": resolution, **scene.get("camera", {})}}})
+    made = dump({"scene": _in_place_of(data["scene"], scene)})
     text = re.sub(r"^scene:\n(?:[ #].*\n|\n(?=[ #]))*", lambda _: made, text, count=1, flags=re.MULTILINE)
     text = re.sub(r"^name: .*$", f"name: {Path(file).stem}", text, count=1, flags=re.MULTILINE)
     # The first lines tell of the template's own scene.
     said = f"# Made from the template {name} for a mesh of one's own.\n#   diffshadow fit {file}\n"
     text = re.sub(r"\A(?:#.*\n)+", lambda _: said, text)
     factor = float(f"{side / _SIDE_OF_TEMPLATES:.2g}")
-    scaled = lambda found: f"{float(found.group()) * factor:.3g}"
-    return _LENGTHS.sub(lambda line: _scaled(line.group(), scaled), text)
+
+    def scaled(line: re.Match[str]) -> str:
+        numbers, hash_, comment = line.group().partition("#")
+        return _NUMBER.sub(lambda found: f"{float(found.group()) * factor:.3g}", numbers) + hash_ + comment
+
+    return _LENGTHS.sub(scaled, text)
 
 
-def _scaled(line: str, scaled: Any) -> str:
-    numbers, hash_, comment = line.partition("#")
-    return _NUMBER.sub(scaled, numbers) + hash_ + comment
+def template_of_mesh(file: Path) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """The default template's data with a mesh file in place of its scene, and notes on the mesh.
+
+    **Raises** `ConfigError` if the file cannot be read.
+    """
+    made = scene_of_mesh(file)
+    text = template_path(DEFAULT_TEMPLATE, str(file)).read_text(encoding="utf-8")
+    data = read_yaml(text, lambda line, column: Location(str(file))).data
+    # Engines have no slope-scaled bias, so that a fit without it converts to all of them.
+    changed = {"name": file.stem.strip() or "mesh", "bias": {**data.get("bias", {}), "slope": 0}}
+    return {**data, **changed, "scene": _in_place_of(data["scene"], made.scene)}, made.notes
+
+
+def _in_place_of(old: Mapping[str, Any], scene: Mapping[str, Any]) -> dict[str, Any]:
+    """The section `scene` with the size of the images of the `old` one."""
+    resolution = (old.get("camera") or {}).get("resolution", [512, 512])
+    return {**scene, "camera": {"resolution": resolution, **scene.get("camera", {})}}
+
+
+def write_template(name: str, mesh: Path | None = None, output: Path | None = None) -> tuple[Path, tuple[str, ...]]:
+    """Writes the template `name` as a configuration, with its comments.
+
+    **Arguments:**
+
+    - `mesh`: a mesh file that replaces the template's scene.
+    - `output`: the file to write; by default named like the mesh and the template, in the current folder.
+
+    **Returns** the file, and notes on the mesh.
+
+    **Raises** `ConfigError` if there is no such template or mesh, or the file exists already or cannot be written.
+    """
+    name = name.removeprefix(BUILTIN)
+    # A run is named like its file: the mesh alone and each template have runs of their own.
+    stem = name if mesh is None else mesh.stem if name == DEFAULT_TEMPLATE else f"{mesh.stem}_{name}"
+    file = Path(f"{stem}.yaml") if output is None else output
+    notes: tuple[str, ...] = ()
+    if mesh is None:
+        text = template_text(name, source=name, file=str(file))
+    else:
+        # The template is checked before the mesh is read.
+        template_text(name, source=name, file=str(file), scene={})
+        made = scene_of_mesh(mesh)
+        text, notes = template_text(name, source=name, file=str(file), scene=made.scene, side=made.side), made.notes
+    if file.exists():
+        mend = "remove it, or give another with --output"
+        raise _mistake(file, f"exists already; expected no such file, since it may have been edited; {mend}")
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text, encoding="utf-8")
+    except OSError as error:
+        message = f"cannot be written ({error.strerror}); expected a path that can be; give another with --output"
+        raise _mistake(file, message) from error
+    return file, notes
+
+
+def _mistake(file: Path, message: str) -> ConfigError:
+    return ConfigError([Mistake(Location(str(file)), "", message)])
+
+
+class MeshScene(NamedTuple):
+    """A section `scene` with a mesh file, its longest side in world units, and notes, each a sentence without a full
+    stop."""
+
+    scene: dict[str, Any]
+    side: float
+    notes: tuple[str, ...]
+
+
+def is_mesh(file: Path) -> bool:
+    """Whether `file` is named like a mesh."""
+    suffix = file.suffix.lower()
+    if suffix in MESH_SUFFIXES:
+        return True
+    if suffix in NO_MESH_SUFFIXES or not file.is_file():
+        return False
+    from ... import io
+
+    return io.suffix_of_others(file) is not None
+
+
+def scene_of_mesh(file: Path) -> MeshScene:
+    """The scene of a mesh file, which is turned if its `z` is up. Camera, light and ground are left to be found.
+
+    **Raises** `ConfigError` if the file cannot be read.
+    """
+    # They load JAX.
+    from ... import geometry, io
+    from ..framing._find import corners_of
+    from ..sections._scene import MeshConfig
+
+    path = str(file.absolute())
+    try:
+        io.existing_file(file, "mesh")
+        corners = corners_of(MeshConfig(path=path))
+    except (ValueError, OSError) as error:
+        raise ConfigError([Mistake(Location(str(file)), "", str(error))]) from error
+    is_gltf = file.suffix.lower() in GLTF_SUFFIXES
+    notes: list[str] = []
+    mesh: dict[str, Any] = {"path": path}
+    if geometry.up_of(corners, is_gltf) == "z":
+        mesh["rotate"] = [-90.0, 0.0, 0.0]
+        notes.append(
+            "z is taken as up, since the mesh lies flat across z; if y is, set scene.meshes.0.rotate=[0, 0, 0]"
+        )
+    elif is_gltf and geometry.stands_on_z(corners):
+        notes.append(
+            "y is taken as up, as glTF says, and the mesh has a flat foot across z; if z is up, set "
+            "'scene.meshes.0.rotate=[-90, 0, 0]'"
+        )
+    if is_gltf and (left_out := _left_out(file)):
+        notes.append(f"the file's {left_out} are not taken; to take them: diffshadow import {file}")
+    side = float((corners.max(axis=(0, 1)) - corners.min(axis=(0, 1))).max())
+    return MeshScene({"meshes": [mesh], "ground": "auto", "light": "auto"}, side, tuple(notes))
+
+
+def _left_out(file: Path) -> str:
+    """The cameras and lights of a glTF file, in words; empty if it has none."""
+    from ... import io
+
+    try:
+        scene = io.read_scene(file)
+    except io.FileError:
+        return ""
+    parts = (("cameras", scene.cameras), ("lights", scene.lights))
+    return " and ".join(name for name, entries in parts if entries)

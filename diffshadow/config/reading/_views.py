@@ -2,20 +2,16 @@
 
 import itertools
 import math
-import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from .._errors import ConfigError, KeyPath, Mistake, Origin, show
-from ..sections._axes import LABEL
-from ..sections._paths import path_of
-from ..sections._scene import BUILTIN
-from ..sections._section import is_number, value_at
-from ..sections._views import ViewsConfig
-from ..whole._costs import MAX_PIXELS
-from ..whole._schema import Config, FitView
+from .._errors import ConfigError, Mistake, Origin, show
+from ..sections._axes import ViewsConfig
+from ..sections._config import Config, FitView
+from ..sections._scene import BUILTIN, MAX_PIXELS
+from ..sections._section import is_number
 from ._axes import Choice, levels_of, written
 from ._draft import Draft
 
@@ -53,15 +49,6 @@ def views_of(config: Config, draft: Draft, check: Callable[[Draft], Config]) -> 
             message = f"holds the view {view.name}, which the fit sees; expected views apart from fit.views; change it"
             raise ConfigError([Mistake(draft.origin.place(("fit", "validation")), "fit.validation", message)])
     return seen, unseen
-
-
-def resolve_views(data: dict[str, Any], origin: Origin, folder: Path) -> None:
-    """Makes the paths of input files in the views of `data` absolute."""
-    for kind in KINDS:
-        for holder, key, path in _files(value_at(data, "fit", kind), ("fit", kind)):
-            # Paths in overrides are relative to the current folder.
-            base = folder if origin.place(path).line is not None else Path()
-            holder[key] = os.path.abspath(base / path_of(holder[key]))
 
 
 def _views(
@@ -131,21 +118,3 @@ def _name(choice: Choice, short: bool) -> str:
 
 def _described(view: FitView) -> Any:
     return view.config.model_dump(mode="json", include=_COMPARED, warnings=False)
-
-
-def _files(value: Any, path: KeyPath) -> Iterator[tuple[Any, Any, KeyPath]]:
-    """The holder, the key and the path of each text in `value`, a section of views, that is the path of a file."""
-    entries: Any = ()
-    if isinstance(value, Mapping):
-        entries = value.items()
-    elif isinstance(value, list):
-        entries = enumerate(value)
-    for key, inner in entries:
-        here = (*path, key)
-        if isinstance(inner, str):
-            names = [str(step) for step in here if not isinstance(step, int)]
-            is_file = names[-1] != LABEL and names[-1].split(".")[-1] in ("path", "texture")
-            if inner and is_file and not inner.startswith(BUILTIN):
-                yield value, key, here
-        else:
-            yield from _files(inner, here)

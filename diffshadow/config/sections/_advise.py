@@ -9,7 +9,7 @@ from ...settings import Form, Limits, Unit, rules
 from ...settings.quantities import Size
 from .._errors import KeyPath, dotted, listing, show
 from ._axes import LABEL
-from ._poses import is_pose
+from ._fitted import is_pose
 from ._section import Conflict, Section, fault
 
 PARAMETERS = "parameters"
@@ -68,7 +68,6 @@ class AdviseConfig(Section):
     filters: Entries = Field(default_factory=_filters, description="the same for filters")
     resolutions: _Sizes | None = Field(
         default=None,
-        min_length=1,
         description="[height, width] of the maps, in texels; default: shadow_map.resolution, and half of it",
     )
     within: Annotated[
@@ -77,36 +76,46 @@ class AdviseConfig(Section):
         "the cheapest technique is recommended whose RMSE exceeds the least by at most this fraction of it",
     ] = 0.03
 
-    @classmethod
-    def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
+    def faults(self) -> Iterator[Conflict]:
         for name in LISTS:
-            entries = data.get(name)
-            if isinstance(entries, list | tuple):
-                yield from _bad_entries(name, entries)
-        yield from _set_by_both(data)
-        sizes = data.get("resolutions")
-        if isinstance(sizes, list | tuple):
-            if not sizes:
-                yield ("resolutions",), fault("is an empty list", "at least one size", "add one, or remove the key")
-            for i, size in enumerate(sizes):
-                if size in sizes[:i]:
-                    yield ("resolutions", i), fault(f"is {show(size)} again", "sizes that differ", "remove one of them")
+            yield from _bad_entries(name, getattr(self, name))
+        yield from self._set_by_both()
+        if self.resolutions == ():
+            yield ("resolutions",), fault("is an empty list", "at least one size", "add one, or remove the key")
+        for i, size in enumerate(self.resolutions or ()):
+            if size in (self.resolutions or ())[:i]:
+                what = fault(f"is {show(size)} again", "sizes that differ", "remove one of them")
+                yield ("resolutions", i), what
+
+    def _set_by_both(self) -> Iterator[Conflict]:
+        """Faults of keys that an entry of each list sets, so that one of them would be lost."""
+        biases, filters = (
+            [((name, i, *path), key) for i, entry in enumerate(getattr(self, name)) for path, key in _all_set(entry)]
+            for name in LISTS
+        )
+        for path, key in filters:
+            for earlier, other in biases:
+                if key == other or key.startswith(f"{other}.") or other.startswith(f"{key}."):
+                    message = f"sets {key}, and {dotted(('advise', *earlier))} sets {other}"
+                    yield path, fault(message, "every value set by a bias or a filter", "remove one of them")
+                    break
 
 
-def keys_set(entry: Any) -> list[str]:
+def keys_set(entry: Mapping[str, Any]) -> list[str]:
     """The keys that an entry sets, without its label and parameters."""
-    keys = entry if isinstance(entry, Mapping) else ()
-    return [key for key in keys if isinstance(key, str) and key not in (LABEL, PARAMETERS)]
+    return [key for key in entry if key not in (LABEL, PARAMETERS)]
 
 
-def _bad_entries(name: str, entries: Sequence[Any]) -> Iterator[Conflict]:
+def _bad_entries(name: str, entries: Sequence[Mapping[str, Any]]) -> Iterator[Conflict]:
     if not entries:
         yield (name,), fault("is an empty list", "at least one entry", "add one, or remove the key to get the default")
-    labels = [entry.get(LABEL) if isinstance(entry, Mapping) else None for entry in entries]
+    labels = [entry.get(LABEL) for entry in entries]
     for i, (label, entry) in enumerate(zip(labels, entries, strict=True)):
-        if not isinstance(entry, Mapping):
-            continue
-        yield from _bad_label((name, i), label, labels[:i])
+        if not isinstance(label, str) or not label.strip() or not label.isprintable():
+            given = "has no label" if label is None else f"has the label {show(label)}"
+            yield (name, i), fault(given, "text on one line that names it", "add 'label: slope'")
+        elif label in labels[:i]:
+            yield (name, i, LABEL), fault(f"is {show(label)} again", "labels that differ", "change one of them")
         for key in keys_set(entry):
             if key == _SIZE:
                 yield (name, i, key), fault("is set", "maps of the sizes in advise.resolutions", "set it there")
@@ -118,39 +127,13 @@ def _bad_entries(name: str, entries: Sequence[Any]) -> Iterator[Conflict]:
             mend = "write 'bias.slope: {lower: 0, upper: 9}'"
             yield (name, i, PARAMETERS), fault(f"is {show(parameters)}", "a section of bounds by key", mend)
             continue
-        for key in parameters:
-            if is_pose(str(key)):
-                what = fault("moves the scene", "numbers of a technique, since all have the same truth", "remove it")
-                yield (name, i, PARAMETERS, key), what
+        for key in filter(is_pose, parameters):
+            what = fault("moves the scene", "numbers of a technique, since all have the same truth", "remove it")
+            yield (name, i, PARAMETERS, key), what
 
 
-def _bad_label(path: KeyPath, label: Any, earlier: Sequence[Any]) -> Iterator[Conflict]:
-    if not isinstance(label, str) or not label.strip() or not label.isprintable():
-        given = "has no label" if label is None else f"has the label {show(label)}"
-        yield path, fault(given, "text on one line that names it", "add 'label: slope'")
-    elif label in earlier:
-        yield (*path, LABEL), fault(f"is {show(label)} again", "labels that differ", "change one of them")
-
-
-def _set_by_both(data: Mapping[str, Any]) -> Iterator[Conflict]:
-    """Faults of keys that an entry of each list sets, so that one of them would be lost."""
-
-    def of(name: str) -> list[tuple[KeyPath, str]]:
-        entries = data.get(name)
-        listed = enumerate(entries if isinstance(entries, list | tuple) else ())
-        return [((name, i, *path), key) for i, entry in listed for path, key in _all_set(entry)]
-
-    biases, filters = map(of, LISTS)
-    for path, key in filters:
-        for earlier, other in biases:
-            if key == other or key.startswith(f"{other}.") or other.startswith(f"{key}."):
-                message = f"sets {key}, and {dotted(('advise', *earlier))} sets {other}"
-                yield path, fault(message, "every value set by a bias or a filter", "remove one of them")
-                break
-
-
-def _all_set(entry: Any) -> Iterator[tuple[KeyPath, str]]:
+def _all_set(entry: Mapping[str, Any]) -> Iterator[tuple[KeyPath, str]]:
     yield from (((key,), key) for key in keys_set(entry))
-    parameters = entry.get(PARAMETERS) if isinstance(entry, Mapping) else None
+    parameters = entry.get(PARAMETERS)
     for key in parameters if isinstance(parameters, Mapping) else ():
         yield (PARAMETERS, key), f"{PARAMETERS} {key}"

@@ -1,7 +1,7 @@
 """Axes: values of keys that a sweep's runs or a fit's views combine."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
@@ -9,7 +9,7 @@ from pydantic import Field
 from ...settings import Form, Limits, Unit
 from ...settings.quantities import Degrees, Turn
 from .._errors import KeyPath, dotted, show
-from ._section import Conflict, Section, fault, is_number, value_at
+from ._section import Conflict, Section, fault, is_number
 
 LABEL = "label"
 """The key in an entry of `list` that names the entry; all others are set."""
@@ -18,6 +18,7 @@ Values = Annotated[tuple[Any, ...], Form("a list of values")]
 _Hour = Annotated[float, Field(ge=0, le=24), Unit("hours")]
 SUN = ("scene.light.azimuth", "scene.light.elevation")
 """The keys that `sun` sets."""
+_OF_A_VIEW = ("scene", "reference", "shadow_map.resolution")
 
 
 class QuasiRandomAxisConfig(Section):
@@ -29,11 +30,10 @@ class QuasiRandomAxisConfig(Section):
     integer: Annotated[bool, "whether values are rounded to whole numbers"] = False
     ascending = (("lower", "upper"),)
 
-    @classmethod
-    def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
-        lower = data.get("lower")
-        if data.get("log") is True and is_number(lower) and lower <= 0:
-            yield ("lower",), fault(f"is {lower} on a logarithmic scale", "a number greater than 0", "raise it")
+    def faults(self) -> Iterator[Conflict]:
+        if self.log and self.lower <= 0:
+            message = f"is {self.lower:g} on a logarithmic scale"
+            yield ("lower",), fault(message, "a number greater than 0", "raise it")
 
 
 class QuasiRandomConfig(Section):
@@ -44,9 +44,8 @@ class QuasiRandomConfig(Section):
     seed: Annotated[int, Limits(0, 2**32, below_high=True), "seed of the scrambling"] = 0
     axes: Annotated[dict[str, QuasiRandomAxisConfig], "ranges, by dotted key"]
 
-    @classmethod
-    def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
-        if data.get("axes") == {}:
+    def faults(self) -> Iterator[Conflict]:
+        if not self.axes:
             yield ("axes",), fault("is empty", "at least one key", "add 'bias.constant: {lower: 0, upper: 2}'")
 
 
@@ -56,20 +55,13 @@ class PathConfig(Section):
     count: Annotated[int, Unit("points"), Limits(2, 65536), "number of points, both ends included"]
     through: Annotated[dict[str, Values], "values to pass in turn, numbers or lists of them, by dotted key"]
 
-    @classmethod
-    def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
-        through = data.get("through")
-        if through == {}:
+    def faults(self) -> Iterator[Conflict]:
+        if not self.through:
             yield ("through",), fault("is empty", "at least one key", "add 'scene.camera.orbit.azimuth: [0, 90]'")
-        for key, values in through.items() if isinstance(through, Mapping) else ():
-            if not isinstance(values, list | tuple):
-                continue
+        for key, values in self.through.items():
             rows = [value if isinstance(value, list | tuple) else [value] for value in values]
-            if (
-                len(rows) < 2
-                or len({len(row) for row in rows}) > 1
-                or not all(is_number(x) for row in rows for x in row)
-            ):
+            is_even = len(rows) > 1 and len({len(row) for row in rows}) == 1
+            if not (is_even and all(is_number(x) for row in rows for x in row)):
                 expected = "two or more numbers, or lists of as many numbers each"
                 yield ("through", key), fault(f"is {show(values)}", expected, "write a list such as [0, 90, 180]")
 
@@ -111,86 +103,93 @@ class AxesConfig(Section):
     @property
     def axes(self) -> tuple[str, ...]:
         """The keys, once each, from slowest to fastest."""
-        labels = any(LABEL in entry for entry in self.list or ())
-        return tuple(dict.fromkeys([*([LABEL] if labels else []), *(key for _, key in settings_of(self.model_dump()))]))
+        labels = [LABEL] if any(LABEL in entry for entry in self.list or ()) else []
+        return tuple(dict.fromkeys([*labels, *(key for _, key in self.assigned())]))
 
-    @classmethod
-    def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
-        settings = [*settings_of(data)]
-        yield from cls.fixed(settings)
-        yield from _set_twice(cls.at, settings)
-        yield from _bad_lists(data)
-        yield from _bad_labels(data)
+    def assigned(self) -> Iterator[tuple[KeyPath, str]]:
+        """Every key that is set, in the order in which they are set, after its path in the section."""
+        for i, entry in enumerate(self.list or ()):
+            yield from ((("list", i, key), key) for key in entry if key != LABEL)
+        through, ranges = self.path and self.path.through, self.qmc and self.qmc.axes
+        for path, keys in ((("grid",), self.grid), (("files",), self.files), (("zip",), self.zip)):
+            yield from (((*path, key), key) for key in keys or ())
+        yield from ((("path", "through", key), key) for key in through or ())
+        yield from ((("sun",), key) for key in (SUN if self.sun else ()))
+        yield from ((("qmc", "axes", key), key) for key in ranges or ())
 
-    @classmethod
-    def fixed(cls, settings: Sequence[tuple[KeyPath, str]]) -> Iterator[Conflict]:
-        """Faults of keys that must be the same everywhere."""
-        yield from ()
+    def faults(self) -> Iterator[Conflict]:
+        yield from self._set_twice()
+        yield from self._bad_lists()
+        yield from self._bad_labels()
 
+    def _set_twice(self) -> Iterator[Conflict]:
+        """Faults of keys that would overwrite what an earlier key sets."""
+        assigned = [*self.assigned()]
+        for i, (path, key) in enumerate(assigned):
+            for earlier, other in assigned[:i]:
+                # A run uses only one entry of the list, and seeds together with repeats are reported by themselves.
+                apart = path[0] == earlier[0] == "list" and path[1] != earlier[1]
+                if not apart and path[0] != "seeds" and (other == key or other.startswith(f"{key}.")):
+                    message = f"sets {key}, and {dotted((self.at, *earlier))} sets {other}"
+                    yield path, fault(message, "every value set once", "remove one of them")
+                    break
 
-def settings_of(data: Mapping[str, Any]) -> Iterator[tuple[KeyPath, str]]:
-    """Every key that is set, in the order in which they are set, after its path in the section."""
-    entries = data.get("list")
-    for i, entry in enumerate(entries if isinstance(entries, list | tuple) else ()):
-        yield from ((("list", i, key), key) for key in _keys(entry) if key != LABEL)
-    for path in (("grid",), ("files",), ("zip",), ("path", "through")):
-        yield from (((*path, key), key) for key in _keys(value_at(data, *path)))
-    if isinstance(data.get("sun"), Mapping):
-        yield from ((("sun",), key) for key in SUN)
-    yield from ((("qmc", "axes", key), key) for key in _keys(value_at(data, "qmc", "axes")))
-    yield from (((key,), "seed") for key in ("repeats", "seeds") if data.get(key) is not None)
+    def _bad_lists(self) -> Iterator[Conflict]:
+        """Faults of lists that are empty, repeat a value or differ in length."""
+        steps = self.zip or {}
+        rows: dict[KeyPath, Any] = {} if self.list is None else {("list",): self.list}
+        rows |= {("grid", key): values for key, values in (self.grid or {}).items()}
+        rows |= {("zip", key): values for key, values in steps.items()}
+        for path, values in rows.items():
+            yield from bad_list(path, values, may_repeat=path[0] == "zip")
+        first, expected = next(((key, len(values)) for key, values in steps.items()), ("", 0))
+        for key, values in steps.items():
+            if len(values) != expected and values:
+                message = f"has {len(values)} values, and {first} has {expected}"
+                yield ("zip", key), fault(message, "lists of equal length", "make them equally long, or use grid")
 
-
-def _keys(section: Any) -> list[str]:
-    return [key for key in section if isinstance(key, str)] if isinstance(section, Mapping) else []
-
-
-def _set_twice(at: str, settings: Sequence[tuple[KeyPath, str]]) -> Iterator[Conflict]:
-    """Faults of keys that would overwrite what an earlier key sets."""
-    for i, (path, key) in enumerate(settings):
-        for earlier, other in settings[:i]:
-            # A run uses only one entry of the list, and `exclusive` reports repeats together with seeds.
-            apart = path[0] == earlier[0] == "list" and path[1] != earlier[1]
-            if apart or {path[0], earlier[0]} == {"repeats", "seeds"}:
-                continue
-            if other == key or other.startswith(f"{key}."):
-                message = f"sets {key}, and {dotted((at, *earlier))} sets {other}"
-                yield path, fault(message, "every value set once", "remove one of them")
-                break
-
-
-def _bad_lists(data: Mapping[str, Any]) -> Iterator[Conflict]:
-    """Faults of lists that are empty, repeat a value or differ in length."""
-    rows: dict[KeyPath, Any] = {("list",): data.get("list"), ("seeds",): data.get("seeds")}
-    for kind in ("grid", "zip"):
-        rows |= {(kind, key): value_at(data, kind, key) for key in _keys(data.get(kind))}
-    for path, values in rows.items():
-        if not isinstance(values, list | tuple):
-            continue
-        if not values:
-            yield path, fault("is an empty list", "at least one entry", "add one, or remove the key")
-        twice = [text for text, count in Counter(map(repr, values)).items() if count > 1]
-        if twice and path[0] != "zip":
-            yield path, fault(f"holds {twice[0]} twice", "values that differ", "remove one of them")
-    lengths = {path[1]: len(v) for path, v in rows.items() if path[0] == "zip" and isinstance(v, list | tuple)}
-    for key, length in lengths.items():
-        first, expected = next(iter(lengths.items()))
-        if length != expected and length:
-            message = f"has {length} values, and {first} has {expected}"
-            yield ("zip", key), fault(message, "lists of equal length", "make them equally long, or use grid")
+    def _bad_labels(self) -> Iterator[Conflict]:
+        entries = self.list or ()
+        labels = [entry.get(LABEL) for entry in entries]
+        for i, label in enumerate(labels):
+            path = ("list", i, LABEL)
+            if LABEL in entries[i] and not isinstance(label, str):
+                yield path, fault(f"is {show(label)}", "text", "put it in quotes")
+            elif isinstance(label, str) and not label.isprintable():
+                yield path, fault(f"is {show(label)}", "text on one line", "remove the unprintable characters")
+            elif LABEL not in entries[i] and any(other is not None for other in labels):
+                yield ("list", i), fault("has no label, but others have one", "a label for all or none", "add one")
+            elif label is not None and label in labels[:i]:
+                yield path, fault(f"is {show(label)} again", "labels that differ", "change one of them")
 
 
-def _bad_labels(data: Mapping[str, Any]) -> Iterator[Conflict]:
-    entries = data.get("list")
-    entries = [e for e in entries if isinstance(e, Mapping)] if isinstance(entries, list | tuple) else []
-    labels = [entry.get(LABEL) for entry in entries]
-    for i, label in enumerate(labels):
-        path = ("list", i, LABEL)
-        if LABEL in entries[i] and not isinstance(label, str):
-            yield path, fault(f"is {show(label)}", "text", "put it in quotes")
-        elif isinstance(label, str) and not label.isprintable():
-            yield path, fault(f"is {show(label)}", "text on one line", "remove the unprintable characters")
-        elif LABEL not in entries[i] and any(other is not None for other in labels):
-            yield ("list", i), fault("has no label, but others have one", "a label for all or none", "add one")
-        elif label is not None and label in labels[:i]:
-            yield path, fault(f"is {show(label)} again", "labels that differ", "change one of them")
+def bad_list(path: KeyPath, values: Sequence[Any], *, may_repeat: bool = False) -> Iterator[Conflict]:
+    """Faults of a list that is empty or repeats a value."""
+    if not values:
+        yield path, fault("is an empty list", "at least one entry", "add one, or remove the key")
+    twice = [text for text, count in Counter(map(repr, values)).items() if count > 1]
+    if twice and not may_repeat:
+        yield path, fault(f"holds {twice[0]} twice", "values that differ", "remove one of them")
+
+
+class ViewsConfig(AxesConfig):
+    """The views of a fit: every combination of values on the axes."""
+
+    at: ClassVar[str] = "fit.views"
+
+    def faults(self) -> Iterator[Conflict]:
+        assigned = [*self.assigned()]
+        if not assigned and not self.list:
+            mend = "add 'grid: {scene.light.azimuth: [0, 90, 180]}'"
+            yield (), fault("changes no key", "list, grid, files, zip, path, sun or qmc", mend)
+        for path, key in assigned:
+            if not any(key == start or key.startswith(f"{start}.") for start in _OF_A_VIEW):
+                expected = "keys of scene or reference, or shadow_map.resolution"
+                yield path, fault("is shared by all views", expected, "set it outside of the views")
+        yield from super().faults()
+
+
+class ValidationConfig(ViewsConfig):
+    """Views that the fit does not see, on which its result is measured."""
+
+    at: ClassVar[str] = "fit.validation"

@@ -1,137 +1,27 @@
-"""Which numbers of a configuration can be fitted: those marked as `Fitted` in their sections."""
+"""Which numbers of a configuration can be fitted: those marked as `Fitted` in the sections of its technique, and those
+that sections of the scene, and in fits to pictures of the shading and the reference, list as `moving`."""
 
 import functools
-from collections.abc import Iterator, Mapping
-from typing import Any, get_args, get_origin
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple, get_origin
 
-from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
-from ...settings import Fitted, Limits, Setting, bare
-from ...settings.techniques import Technique
-from .._errors import did_you_mean, listing
-from ._biases import PLANES, BiasConfig, TermsConfig
-from ._filters import FILTERS
-from ._poses import could_be_pose, is_pose, pose_faults, pose_of
-from ._section import Conflict, Section, fault, is_index, is_number, marked, type_of, value_at
-from ._technique import TECHNIQUES
+from ..._words import counted
+from ...settings import Fitted, Limits, Setting
+from ...settings.quantities import Coordinate
+from .._errors import did_you_mean, dotted, listing
+from ._images import EACH_INTENSITY, REFERENCES, SHADINGS, PictureReferenceConfig
+from ._scene import AXES, CAMERAS, LIGHTS, MeshConfig, colour_of
+from ._section import Conflict, Section, fault, is_index, marked, type_of
+from ._technique import FILTERS, PLANES, TECHNIQUES, BiasConfig, PercentageCloserSoftConfig, TermsConfig
 
+if TYPE_CHECKING:
+    from ._config import Config
 
-def fit_paths(data: Any) -> dict[str, str]:
-    """The numbers of a configuration's technique that can be fitted.
-
-    **Arguments:**
-
-    - `data`: a configuration, or the unchecked data of one.
-
-    **Returns:** the dotted path of each number in the technique that the configuration builds, by the key that sets it;
-    for example, `"bias.slope"` maps to `"bias.slope.value"`.
-    """
-    return {
-        f"{holder}.{key}{entry}": f"{_field(holder, section)}{_path(section, key)}{entry}"
-        for holder, section in _holders(data).items()
-        for key, mark in _fitted_keys(section).items()
-        for entry in _entries(section.model_fields[key], mark, value_at(data, *holder.split("."), key))
-    }
-
-
-def _entries(field: FieldInfo, mark: Fitted, value: Any) -> list[str]:
-    """What follows the key of a field in the names of its numbers: their indices if it is a list."""
-    if get_origin(marked(field)[0]) is not tuple:
-        return [] if mark.needs_value and value is None else [""]
-    return [f".{i}" for i in range(len(value))] if isinstance(value, list | tuple) else []
-
-
-def is_searched(data: Any, name: str) -> bool:
-    """Whether the number `name` of a configuration is found by a search, rather than by gradient."""
-    holder, key, _ = key_of(name)
-    section = _holders(data).get(holder)
-    return section is not None and key in (fitted := _fitted_keys(section)) and fitted[key].searched
-
-
-def key_of(name: str) -> tuple[str, str, int | None]:
-    """The section that holds the number `name`, its key there, and its index if the key holds a list."""
-    holder, _, key = name.rpartition(".")
-    if not is_index(key):
-        return holder, key, None
-    return *key_of(holder)[:2], int(key)
-
-
-def start_of(data: Any, name: str) -> Any:
-    """The value of the key `name` in `data`, or its default."""
-    holder, key, index = key_of(name)
-    section, given = _holders(data)[holder], value_at(data, *holder.split("."), default={})
-    if isinstance(given, Mapping):
-        given = section.completed(given)
-    value = value_at(given, key, default=section.model_fields[key].default)
-    return value if index is None else value[index]
-
-
-def is_limit(data: Any, name: str, bound: float) -> bool:
-    """Whether the number `name` cannot lie beyond `bound`, or has no sense there.
-
-    That is a limit of its key, or 0 of a number of the technique: no bias, no radius.
-    """
-    pose = pose_of(data, name)
-    limits = _limits_of(data, name) if pose is None else pose.limits
-    return bound in (limits.low, limits.high) or (pose is None and bound == 0)
-
-
-def misnamed(data: Any, parameters: Mapping[str, Any]) -> Iterator[Conflict]:
-    """Faults of the entries of `parameters`, the section `fit.parameters`, whose names exist in no configuration."""
-    holders = [(h, section) for h, sections in _HOLDERS.items() for section in sections]
-    everywhere = {f"{h}.{key}" for h, s in (*holders, *_holders(data).items()) for key in _fitted_keys(s)}
-    for name in parameters:
-        path = ("fit", "parameters", name)
-        if is_pose(name) and not could_be_pose(name):
-            yield from ((path, what) for what in pose_faults(data, name))
-        elif not is_pose(name) and ".".join(key_of(name)[:2]) not in everywhere:
-            yield path, _no_such_parameter(data, name)
-
-
-def parameter_faults(data: Any, parameters: Mapping[str, Any]) -> Iterator[Conflict]:
-    """What is wrong with `parameters`, the section `fit.parameters`, in a fit of the configuration `data`."""
-    known = fit_paths(data)
-    for name, parameter in parameters.items():
-        pose = pose_of(data, name)
-        unknown = [] if name in known else [_no_such_parameter(data, name)]
-        wrong = pose_faults(data, name) if is_pose(name) else unknown
-        yield from ((("fit", "parameters", name), what) for what in wrong)
-        if pose is not None:
-            yield from _beyond_limits(name, parameter, pose.limits)
-        elif name in known:
-            limits = _limits_of(data, name)
-            yield from _beyond_limits(name, parameter, limits)
-            yield from _start_outside(name, parameter, start_of(data, name), limits)
-
-
-def _start_outside(name: str, parameter: Any, start: Any, limits: Limits) -> Iterator[Conflict]:
-    """A fault if `name` has no initial value and `start`, the value of its key, is missing or out of bounds."""
-    path = ("fit", "parameters", name)
-    lower, upper, initial = (value_at(parameter, key) for key in ("lower", "upper", "initial"))
-    if initial is not None or not (is_number(lower) and is_number(upper)):
-        return
-    # A value beyond the limits is reported for the key that sets it.
-    if is_number(start) and not limits.undercut_by(start) and not limits.exceeded_by(start) and lower < upper:
-        yield from ((path, what) for what in outside(start, lower, upper, name))
-    elif start is None:
-        message = f"has no start, since {name} is not set"
-        yield path, fault(message, "an initial value within the bounds", f"add initial, or set {name}")
-
-
-def outside(
-    initial: float | int, lower: float | int, upper: float | int, name: str | None = None
-) -> Iterator[PydanticCustomError]:
-    """A fault unless `initial` is within the bounds; `name` is the key that it was taken from, if any."""
-    if lower <= initial <= upper:
-        return
-    given = f"is {initial}" if name is None else f"starts at {name} = {initial}"
-    mend = "move it inside" if name is None else f"give an initial value, change {name}"
-    yield fault(given, f"a start from lower = {lower} to upper = {upper}", f"{mend}, or widen the bounds")
-
-
-# All sections with numbers that can be fitted, by their keys.
-_HOLDERS = {
+# All sections of a technique with numbers that can be fitted, by their keys.
+_KINDS = {
     "bias": [BiasConfig],
     "bias.terms": [TermsConfig],
     "bias.plane": [*PLANES.sections.values()],
@@ -142,20 +32,103 @@ _HOLDERS = {
 _FIELDS = {"bias.terms": "bias.terms.weights", "technique": "layout"}
 
 
-def _field(holder: str, section: type[Section]) -> str:
-    """What precedes the names of a section's numbers in the technique that it builds."""
-    return "" if _is_whole(section) else f"{_FIELDS.get(holder, holder)}."
+def is_pose(name: str) -> bool:
+    """Whether `name` belongs to the scene or its shading, rather than to the technique."""
+    return name.startswith(("scene.", "shading.", "reference."))
 
 
-def _is_whole(section: type[Section]) -> bool:
-    """Whether it is a technique whose numbers are all its own."""
-    return issubclass(section, Technique) and section.is_whole
+def key_of(name: str) -> tuple[str, str, int | None]:
+    """The section that holds the number `name`, its key there, and its index if the key holds a list."""
+    holder, _, key = name.rpartition(".")
+    if not is_index(key):
+        return holder, key, None
+    return *key_of(holder)[:2], int(key)
 
 
-def _path(section: type[Section], key: str) -> str:
-    """The path of a section's number in the module that it builds."""
-    (path,) = Setting.of(None, marks=marked(section.model_fields[key])[1]).paths(key)
-    return path
+class Fittable(NamedTuple):
+    """A number that can be fitted.
+
+    - `path`: its dotted path in the technique that the configuration builds; for one of the scene or its shading, in a
+        `fit.Arrangement`.
+    - `setting`: the limits of its bounds, equal to those of the keys that set such numbers, and what it means.
+    - `unit`: empty for colours and factors.
+    - `value`: of a number of the technique; none if it is not set.
+    - `is_searched`: whether it is found by a search, rather than by gradient.
+    - `vertex`: the indices of mesh and vertex, if the number is a coordinate of a vertex.
+    """
+
+    path: str
+    setting: Setting
+    unit: str
+    value: float | None = None
+    is_searched: bool = False
+    vertex: tuple[int, int] | None = None
+
+    @property
+    def axis(self) -> int | None:
+        """The axis that it is a coordinate along; none for an angle, a size or a colour."""
+        last = self.path.rpartition(".")[2]
+        return AXES.index(last) if self.unit == _VERTEX.unit and last in AXES else None
+
+
+def of_technique(config: "Config") -> dict[str, Fittable]:
+    """The numbers of the technique of `config` that can be fitted, by the keys that set them."""
+    found = {}
+    for holder, section in _holders(config).items():
+        prefix = "" if config.technique.is_whole else f"{_FIELDS.get(holder, holder)}."
+        for key, mark in _fitted_keys(type(section)).items():
+            kind, marks = marked(type(section).model_fields[key])
+            setting, value = Setting(kind, marks), getattr(section, key)
+            name, path = f"{holder}.{key}", f"{prefix}{setting.paths(key)[0]}"
+            unit = section.units().get(key, setting.unit)
+            if get_origin(kind) is tuple:
+                for i, each in enumerate(value if isinstance(value, list | tuple) else ()):
+                    entry = replace(setting.entry(i), marks=(*setting.entry(i).marks, setting.meaning))
+                    found[f"{name}.{i}"] = Fittable(f"{path}.{i}", entry, unit, each, mark.searched)
+            elif value is not None or not mark.needs_value:
+                found[name] = Fittable(path, setting, unit, value, mark.searched)
+    return found
+
+
+def fittable_of(config: "Config", name: str) -> Fittable | None:
+    """The number that is called `name`; none if it cannot be fitted."""
+    if not is_pose(name):
+        return of_technique(config).get(name)
+    match name.split("."):
+        case ["scene", "meshes", mesh, "vertices", vertex, axis] if is_index(mesh) and is_index(vertex):
+            if axis in AXES and int(mesh) < len(config.scene.meshes):
+                path = f"meshes.{int(mesh)}.vertices.{int(vertex)}.{axis}"
+                return Fittable(path, _VERTEX, _VERTEX.unit, vertex=(int(mesh), int(vertex)))
+    return poses(config).get(name)
+
+
+def fit_paths(config: "Config") -> dict[str, str]:
+    """The numbers of the technique of `config` that can be fitted.
+
+    **Returns:** the dotted path of each number in the technique that the configuration builds, by the key that sets it;
+    for example, `"bias.slope"` maps to `"bias.slope.value"`.
+    """
+    return {name: number.path for name, number in of_technique(config).items()}
+
+
+def fit_units(config: "Config") -> dict[str, str]:
+    """The unit of every number of the technique that can be fitted, and of every number of the scene that is."""
+    found = {name: fittable_of(config, name) for name in config.fit.parameters if is_pose(name)}
+    return {name: number.unit for name, number in (of_technique(config) | found).items() if number is not None}
+
+
+def _holders(config: "Config") -> dict[str, Any]:
+    """The sections with numbers of the technique that can be fitted, by their keys."""
+    if config.technique.is_whole:
+        return {"technique": config.technique}
+    bias = config.bias
+    return {
+        "bias": bias,
+        "bias.terms": bias.terms,
+        "bias.plane": bias.plane,
+        "filter": config.filter,
+        "technique": config.technique,
+    }
 
 
 @functools.cache
@@ -165,43 +138,131 @@ def _fitted_keys(section: type[Section]) -> dict[str, Fitted]:
     return {key: mark for key, field in fields for mark in marked(field)[1] if isinstance(mark, Fitted)}
 
 
-def _holders(data: Any) -> dict[str, type[Section]]:
-    """The sections of `data` with numbers that can be fitted, by their keys."""
-    technique = TECHNIQUES.of(value_at(data, "technique"))
-    if _is_whole(technique):
-        return {"technique": technique}
-    return {
-        "bias": BiasConfig,
-        "bias.terms": TermsConfig,
-        "bias.plane": PLANES.of(value_at(data, "bias", "plane")),
-        "filter": FILTERS.of(value_at(data, "filter")),
-        "technique": technique,
-    }
+def is_limit(config: "Config", name: str, bound: float) -> bool:
+    """Whether the number `name` cannot lie beyond `bound`, or has no sense there.
+
+    That is a limit of its key, or 0 of a number of the technique: no bias, no radius.
+    """
+    number = fittable_of(config, name)
+    limits = Limits() if number is None else number.setting.limits
+    return bound in (limits.low, limits.high) or (bound == 0 and not is_pose(name))
 
 
-def _no_such_parameter(data: Any, name: str) -> PydanticCustomError:
-    known = tuple(fit_paths(data))
-    mend = "name one of these"
-    if not any(name == f"filter.{field}" for kind in FILTERS.sections.values() for field in kind.model_fields):
-        # A parameter of another filter is not a misspelling.
-        mend = did_you_mean(name, known, mend)
-    holders = _holders(data)
-    kind = "technique" if _is_whole(holders["technique"]) else "filter"
-    of = f"{kind} type {type_of(holders[kind])!r}"
-    return fault(f"cannot be fitted with {of}", listing(known), mend)
+_VERTEX = Setting.of(Coordinate)
 
 
-def _beyond_limits(name: str, parameter: Any, limits: Limits) -> Iterator[Conflict]:
-    """Faults of bounds beyond the limits of the number `name`."""
-    path, lower, upper = ("fit", "parameters", name), value_at(parameter, "lower"), value_at(parameter, "upper")
-    if is_number(lower) and limits.undercut_by(lower):
-        yield (*path, "lower"), fault(f"is {lower}", f"a number {limits.least}, as for {name}", "raise it")
-    if is_number(upper) and limits.exceeded_by(upper):
-        yield (*path, "upper"), fault(f"is {upper}", f"a number {limits.most}, as for {name}", "lower it")
+def poses(config: "Config") -> dict[str, Fittable]:
+    """The numbers of the scene, and to a picture of its shading, that can be fitted, by name. Vertices are left out:
+    there are too many."""
+    scene, shading, found = config.scene, config.shading, {}
+
+    def add(name: str, path: str, settings: Mapping[str, Setting]) -> None:
+        for key, each in settings.items():
+            found[f"{name}.{key}"] = Fittable(f"{path}.{each.paths(key)[0]}", each, each.unit)
+
+    for i, (at, light) in enumerate(scene.each_light.items()):
+        add(f"scene.{dotted(at)}", f"lights.{i}", light.moving)
+    for i, mesh in enumerate(scene.meshes):
+        add(f"scene.meshes.{i}", f"meshes.{i}", mesh.moving)
+    if isinstance(config.reference, PictureReferenceConfig):
+        add("scene.camera", "camera", scene.camera.moving)
+        for i, mesh in enumerate(scene.meshes):
+            add(f"scene.meshes.{i}", f"meshes.{i}", mesh.coloured)
+        for key, setting in shading.moving_in(config).items():
+            found[f"shading.{key}"] = Fittable(f"shading.{shading.path_of(key)}", setting, setting.unit)
+        exposure = config.reference.moving["exposure"]
+        found["reference.exposure"] = Fittable("exposure", exposure, exposure.unit)
+    return found
 
 
-def _limits_of(data: Any, name: str) -> Limits:
-    """The limits of the key `name`."""
-    holder, key, index = key_of(name)
-    kind, marks = marked(_holders(data)[holder].model_fields[key])
-    return Limits.of(marks if index is None else bare(get_args(kind)[0])[1])
+@functools.cache
+def _names() -> tuple[frozenset[str], frozenset[str]]:
+    """The names of numbers that some configuration can fit, and of those that only a fit to a picture can, each with 0
+    in place of its indices."""
+
+    def below(holder: str, kinds: Iterable[Any], key: str = "moving") -> Iterator[str]:
+        yield from (f"{holder}.{name}" for kind in kinds for name in getattr(kind, key, ()))
+
+    pictured = frozenset(
+        [
+            *below("scene.camera", CAMERAS.sections.values()),
+            *below("scene.meshes.0", [MeshConfig], "coloured"),
+            *below("shading", SHADINGS.sections.values()),
+            *(f"shading.{key}" for key in colour_of(f"{EACH_INTENSITY}0", None)),
+            *below("reference", REFERENCES.sections.values()),
+        ]
+    )
+    found = frozenset(
+        [
+            *pictured,
+            *below("scene.light", LIGHTS.sections.values()),
+            *below("scene.lights.0", LIGHTS.sections.values()),
+            *below("scene.meshes.0", [MeshConfig]),
+            *(f"scene.meshes.0.vertices.0.{axis}" for axis in AXES),
+            *(f"{holder}.{key}" for holder, kinds in _KINDS.items() for kind in kinds for key in _fitted_keys(kind)),
+        ]
+    )
+    return found, pictured
+
+
+def _with_zeros(name: str) -> str:
+    return ".".join("0" if is_index(word) else word for word in name.split("."))
+
+
+def could_be_fitted(name: str) -> bool:
+    """Whether some configuration, other than by users' classes, can fit a number `name`."""
+    return (_with_zeros(name) if is_pose(name) else ".".join(key_of(name)[:2])) in _names()[0]
+
+
+def misnamed(config: "Config", names: Iterable[str]) -> Iterator[Conflict]:
+    """Faults of those `names` in `fit.parameters` that exist neither in `config`, whose values need not be valid, nor
+    in other configurations."""
+    for name in names:
+        holder, key, _ = key_of(name)
+        section = _holders(config).get(holder)
+        if not could_be_fitted(name) and (section is None or key not in _fitted_keys(type(section))):
+            yield from ((("fit", "parameters", name), what) for what in name_faults(config, name))
+
+
+def name_faults(config: "Config", name: str) -> Iterator[PydanticCustomError]:
+    """What is wrong with fitting the number named `name`."""
+    if is_pose(name):
+        yield from _pose_faults(config, name)
+    elif name not in (known := of_technique(config)):
+        mend = "name one of these"
+        if not any(name == f"filter.{field}" for kind in FILTERS.sections.values() for field in kind.model_fields):
+            # A parameter of another filter is not a misspelling.
+            mend = did_you_mean(name, known, mend)
+        kind = "technique" if config.technique.is_whole else "filter"
+        section = type(_holders(config)[kind])
+        yield fault(f"cannot be fitted with {kind} type {type_of(section)!r}", listing(known), mend)
+
+
+def _pose_faults(config: "Config", name: str) -> Iterator[PydanticCustomError]:
+    pose, words, lights = fittable_of(config, name), name.split("."), len(config.scene.each_light)
+    if pose is not None:
+        section = config.filter
+        uses_light = isinstance(section, PercentageCloserSoftConfig) and section.light_size is None
+        if pose.path.endswith(".radius") and not uses_light:
+            message = "cannot be fitted with a filter that does not use the light's size"
+            mend = "change the filter, or remove the parameter"
+            yield fault(message, "filter type pcss without a light_size", mend)
+        return
+    needs_picture = _with_zeros(name) in _names()[1]
+    if needs_picture and not isinstance(config.reference, PictureReferenceConfig):
+        mend = "set reference.type to picture, or remove the parameter"
+        yield fault("cannot be fitted to visibility, which does not show it", "a fit to a picture", mend)
+    elif words[:2] in (["scene", "lights"], ["shading", "intensities"]) and _is_beyond(words[2:], lights):
+        message = f"is of light {int(words[2])}, and the scene has {counted(lights, 'light')}"
+        yield fault(message, "light 0" if lights == 1 else f"a light from 0 to {lights - 1}", "change its number")
+    elif needs_picture and name.startswith("shading.intensity."):
+        mend = "name one of these, or remove all shading.intensities"
+        expected = f"shading.{EACH_INTENSITY}0.{words[-1]}, and so on"
+        yield fault("has no effect, since shading.intensities take its place", expected, mend)
+    else:
+        known = [*poses(config), "scene.meshes.0.vertices.0.x"]
+        yield fault("cannot be fitted in this scene", listing(known), did_you_mean(name, known, "name one of these"))
+
+
+def _is_beyond(words: list[str], count: int) -> bool:
+    return bool(words) and is_index(words[0]) and int(words[0]) >= count

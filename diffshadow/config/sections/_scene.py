@@ -1,16 +1,205 @@
 """Sections of the scene: meshes, camera and lights."""
 
+import math
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
-from ...settings import Form, Limits, Unit, scene
-from ...settings.quantities import FARTHEST, SMALLEST, Angles, Colour, Coordinate, Degrees, Distance, Position, Turn
+from ...settings import At, Form, InputFile, Limits, Setting, Unit, scene
+from ...settings.quantities import (
+    FARTHEST,
+    SMALLEST,
+    Angles,
+    Colour,
+    Coordinate,
+    Degrees,
+    Direction,
+    Distance,
+    Fraction,
+    HalfAngle,
+    Position,
+    Turn,
+    WorldUnits,
+)
 from ...settings.scene import PIECES
-from .._errors import KeyPath, listing, nearest
-from ._lights import LightConfig, Radii
-from ._section import Conflict, Section, Variants, exclusive, fault, given, value_at
+from .._errors import KeyPath, dotted, listing, nearest
+from ._section import Conflict, Section, Variants, fault, given
+
+if TYPE_CHECKING:
+    from ._config import Config
+
+AXES, CHANNELS = ("x", "y", "z"), ("red", "green", "blue")
+_FACES_OF_A_CUBE = 6
+# About 300 bytes each while an image is processed: 5 GB.
+MAX_PIXELS = 1 << 24
+"""The most pixels of an image, and of all views of a fit together."""
+
+
+def _vector(key: str, kind: Any) -> dict[str, Setting]:
+    return {f"{key}.{axis}": Setting.of(kind) for axis in AXES}
+
+
+def colour_of(key: str, kind: Any) -> dict[str, Setting]:
+    """The settings of the channels of a colour, by key."""
+    return {f"{key}.{channel}": Setting.of(kind) for channel in CHANNELS}
+
+
+_POSITION, _ANGLES = _vector("position", Coordinate), {key: Setting.of(Turn) for key in ("azimuth", "elevation")}
+# Beyond this distance a mesh vanishes in the rounding of float32.
+Radii = Annotated[float, Limits(0, 1e4, above_low=True), Unit("radii")]
+
+
+class LightOrbit(Section):
+    """A light placed by angles about the middle of the scene's first mesh."""
+
+    azimuth: Annotated[Turn, "0 towards +z of the mesh, 90 towards +x, in degrees"] = 60.0
+    elevation: Annotated[Degrees, Limits(-90, 90), "height above the horizon, in degrees"] = 60.0
+    distance: Annotated[Radii, "distance from the mesh's middle, in radii of its bounding sphere"] = 4.0
+
+
+class ShadowCamera(Section, scene.ShadowCamera):
+    """The camera that a directional light's map is drawn with, by the names and defaults of three.js: a parallel one at
+    `position`, which looks along the light with +y up."""
+
+    position: Annotated[Position, "where near, far and the window are measured from, in world units"]
+
+
+class AnyLightConfig(Section, scene.Light):
+    """A light. `moving` are its numbers that can be fitted, by key; each has its path in the light's pose."""
+
+    moving: ClassVar[Mapping[str, Setting]] = {}
+
+    def maps(self, layers: int) -> int:
+        """The number of its maps, if a light with one view has `layers` of them."""
+        return layers
+
+
+class DirectionalLightConfig(AnyLightConfig, scene.Sun):
+    """Light from infinitely far away."""
+
+    azimuth: Annotated[Turn | None, "where the light comes from: 0 from +z, 90 from +x, in degrees; default 60"] = None
+    elevation: Annotated[
+        Degrees | None, Limits(-90, 90), "angle above the horizon it comes from, in degrees; default 45"
+    ] = None
+    direction: Annotated[Direction | None, "direction of travel, of any length; instead of azimuth and elevation"] = (
+        None
+    )
+    frame: Annotated[
+        Literal["scene", "casters"], "what the map is fitted to; with casters, pixels outside the map do not count"
+    ] = "scene"
+    shadow_camera: Annotated[
+        ShadowCamera | None, "camera of the map, instead of one that is fitted; pixels outside do not count"
+    ] = None
+    exclusive = (("direction", "azimuth", "elevation"),)
+    moving: ClassVar[Mapping[str, Setting]] = {
+        **_ANGLES,
+        "angular_radius": Setting.of(HalfAngle, marks=(At("radius"),)),
+    }
+
+    @classmethod
+    def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:
+        if given(data, "direction"):
+            return data
+        angles = {"azimuth": 60.0, "elevation": 45.0}
+        return {**data, **{key: value for key, value in angles.items() if data.get(key) is None}}
+
+    def faults(self) -> Iterator[Conflict]:
+        if self.frame == "casters" and self.shadow_camera is not None:
+            yield ("frame",), fault("is casters, and shadow_camera is given", "one or the other", "remove one of them")
+
+    def faults_of_fit(self, config: "Config", at: KeyPath) -> Iterator[Conflict]:
+        if config.moves and self.frame == "casters":
+            message = "is casters in a fit of lights or meshes, whose shadows may move outside the initial frame"
+            yield (*at, "frame"), fault(message, "scene", "remove it")
+        if config.moves and self.shadow_camera is not None:
+            message = "is given in a fit of lights or meshes, which fits the map to the scene at every step"
+            yield (*at, "shadow_camera"), fault(message, "a map that is fitted", "remove it")
+
+
+class _PlacedLightConfig(AnyLightConfig):
+    """A light at a finite position."""
+
+    orbit: Annotated[LightOrbit | None, "placement by angles about the first mesh, instead of position"] = None
+    position: Annotated[Position | None, "position of the light, in world units"] = None
+    near: Annotated[Distance | None, "near plane of the map, in world units; default: tight"] = None
+    far: Annotated[Distance | None, "far plane of the map, in world units; default: tight"] = None
+    ascending = (("near", "far"),)
+    exclusive = (("orbit", "position"),)
+
+    @classmethod
+    def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:
+        return data if given(data, "orbit", "position") else {**data, "orbit": {}}
+
+
+class _AimedLightConfig(_PlacedLightConfig):
+    """A light with a direction."""
+
+    target: Annotated[Position | None, "point the light is aimed at, in world units; default: the scene's middle"] = (
+        None
+    )
+    outer_angle: Annotated[
+        scene.OuterAngle | None, "half the map's field of view, in degrees; default: just wide enough for the scene"
+    ] = None
+
+
+class SpotLightConfig(_AimedLightConfig, scene.SpotLight):
+    """Light from a point or a small disk, into a cone."""
+
+    ascending = (*_AimedLightConfig.ascending, *scene.SpotLight.ascending)
+    moving: ClassVar[Mapping[str, Setting]] = {**_POSITION, **_ANGLES, "radius": Setting.of(WorldUnits)}
+
+
+class RectangleLightConfig(_AimedLightConfig, scene.RectangleLight):
+    """Light from a rectangle, such as a panel or a window."""
+
+    moving: ClassVar[Mapping[str, Setting]] = _POSITION
+
+
+class PointLightConfig(_PlacedLightConfig, scene.PointLight):
+    """Light from a point or a sphere in all directions, with a cube map."""
+
+    moving: ClassVar[Mapping[str, Setting]] = {**_POSITION, "radius": Setting.of(WorldUnits)}
+
+    def maps(self, layers: int) -> int:
+        return _FACES_OF_A_CUBE
+
+    def faults_of_run(self, config: "Config", at: KeyPath) -> Iterator[Conflict]:
+        yield from self._beyond_guards(config, at, {})
+
+    def faults_of_fit(self, config: "Config", at: KeyPath) -> Iterator[Conflict]:
+        yield from self._beyond_guards(config, at, config.fit.parameters)
+
+    def _beyond_guards(self, config: "Config", at: KeyPath, bounds: Mapping[str, Any]) -> Iterator[Conflict]:
+        """A fault of a filter that reads beyond the faces of the map, with fitted numbers at their `bounds`."""
+        reach, half, allowed = (
+            config.reach(bounds),
+            min(config.shadow_map.resolution) / 2,
+            self.guard / (1 + self.guard),
+        )
+        # A reach that does not depend on the bounds is a fault of the run.
+        if not config.technique.is_mapped or reach.texels <= allowed * half or (bounds and not reach.is_of_fit):
+            return
+        path, guard = reach.path, dotted((*at, "guard"))
+        mends = [f"raise {guard} to {_rounded_up(reach.texels / (half - reach.texels)):g}"] * (reach.texels <= half / 2)
+        mends += ["raise shadow_map.resolution", f"lower {dotted(path)}" if len(path) > 1 else "choose another filter"]
+        what = fault(
+            f"lets the filter read {reach.texels:g} texels away, beyond the edge of a face of a point light's map",
+            f"at most {allowed * half:.3g} texels, which {guard} = {self.guard:g} allows",
+            f"{', '.join(mends[:-1])}, or {mends[-1]}",
+        )
+        yield path, what
+
+
+def _rounded_up(value: float) -> float:
+    """`value` rounded up to two digits."""
+    step = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return math.ceil(value / step) * step
+
+
+LIGHTS = Variants(scene.Light, "directional", __name__)
+LightConfig = Annotated[AnyLightConfig, LIGHTS]
+
 
 BUILTIN = "builtin:"
 """The prefix of paths that name a mesh of the library."""
@@ -21,10 +210,19 @@ TEXTURE_KEYS = ("texture", "alpha_cutoff", "texture_wrap", "texture_filter")
 """The keys of a mesh that need a mesh file."""
 
 
+def _known_piece(path: str) -> str:
+    name = path.removeprefix(BUILTIN)
+    if name != path and name not in PIECES:
+        suggestion = nearest(name, PIECES)
+        mend = "name one of these" if suggestion is None else f"did you mean {BUILTIN + suggestion!r}?"
+        raise fault(f"is {path!r}", f"{BUILTIN} followed by {listing(PIECES)}", mend)
+    return path
+
+
 class MeshConfig(Section):
     """A mesh and its placement: fitted to `size`, dropped to the ground, then scaled, rotated and translated."""
 
-    path: str = Field(
+    path: Annotated[str, AfterValidator(_known_piece), InputFile(BUILTIN)] = Field(
         min_length=1,
         description="a mesh file, relative to this file (in an override: to the current folder), or builtin:NAME",
     )
@@ -47,7 +245,7 @@ class MeshConfig(Section):
     albedo: Annotated[
         Colour, "diffuse colour, each component in [0, 1], times the colours and textures of a mesh file"
     ] = (0.8, 0.8, 0.8)
-    texture: str | None = Field(
+    texture: Annotated[str | None, InputFile()] = Field(
         default=None,
         min_length=1,
         description="an image file, in sRGB, relative like path; default: the textures of the mesh file",
@@ -71,30 +269,31 @@ class MeshConfig(Section):
         bool, "whether it casts shadows, or only receives them; reference.blockers can let it block rays"
     ] = True
     receives: Annotated[bool, "whether an engine shows shadows on it; pixels of others count in no error"] = True
+    moving: ClassVar[Mapping[str, Setting]] = {**_vector("translate", Coordinate), **_vector("turn", Turn)}
+    # In a fit to a picture.
+    coloured: ClassVar[Mapping[str, Setting]] = colour_of("albedo", Fraction)
 
     @property
     def builtin(self) -> str | None:
         """The name of a library mesh, or `None` for a file."""
         return self.path.removeprefix(BUILTIN) if self.path.startswith(BUILTIN) else None
 
-    @classmethod
-    def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
-        path, options = data.get("path"), data.get("options")
-        if not isinstance(path, str):
+    def faults(self) -> Iterator[Conflict]:
+        if self.builtin is None:
+            if self.options:
+                what = fault("are given with a mesh file", "options with a builtin mesh only", "remove the options")
+                yield ("options",), what
             return
-        name = path.removeprefix(BUILTIN)
-        if path.startswith(BUILTIN) and name not in PIECES:
-            suggestion = nearest(name, PIECES)
-            mend = "name one of these" if suggestion is None else f"did you mean {BUILTIN + suggestion!r}?"
-            yield ("path",), fault(f"is {path!r}", f"{BUILTIN} followed by {listing(PIECES)}", mend)
-        if not path.startswith(BUILTIN) and options:
-            what = fault("are given with a mesh file", "options with a builtin mesh only", "remove the options")
-            yield ("options",), what
         for key in TEXTURE_KEYS:
-            if path.startswith(BUILTIN) and data.get(key) is not None:
+            if getattr(self, key) is not None:
                 yield (key,), fault("is given with a builtin mesh", "a mesh file, which may have UV", f"remove {key}")
-        if path.startswith(BUILTIN) and data.get("normals") == "file":
+        if self.normals == "file":
             yield ("normals",), fault("is file with a builtin mesh", "creases", "remove it")
+
+    def faults_of_run(self, config: "Config", at: KeyPath) -> Iterator[Conflict]:
+        if not self.receives and not config.technique.is_selective:
+            message = f"is false, and technique.type is {config.technique.type}, which shows shadows on all meshes"
+            yield (*at, "receives"), fault(message, "true, or an engine's technique", "remove it")
 
 
 class CameraOrbit(Section):
@@ -105,7 +304,9 @@ class CameraOrbit(Section):
     distance: Annotated[Radii, "distance from the mesh's middle, in radii of its bounding sphere"] = 2.5
 
 
-class _CameraConfig(Section):
+class AnyCameraConfig(Section, scene.Camera):
+    """A camera."""
+
     orbit: Annotated[CameraOrbit | None, "placement by angles about the first mesh, instead of eye"] = None
     eye: Annotated[Position | None, "position, in world units"] = None
     target: Annotated[Position | None, "point in the middle of the image, in world units"] = None
@@ -113,35 +314,47 @@ class _CameraConfig(Section):
         bool, "whether shaded pictures show the mean over each pixel along outlines and creases; errors ignore it"
     ] = False
     ascending = (("near", "far"),)
+    exclusive = (("orbit", "eye", "target"),)
+    # In a fit to a picture.
+    moving: ClassVar[Mapping[str, Setting]] = {**_vector("eye", Coordinate), **_vector("turn", Turn)}
+
+    @property
+    def pixels(self) -> int:
+        """The number of pixels of the image."""
+        return math.prod(self.resolution)
 
     @classmethod
     def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:
         return data if given(data, "orbit", "eye", "target") else {**data, "orbit": {}}
 
-    @classmethod
-    def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
-        yield from exclusive(data, "orbit", "eye", "target")
-        if given(data, "target") and not given(data, "eye", "orbit"):
+    def faults(self) -> Iterator[Conflict]:
+        if self.pixels > MAX_PIXELS:
+            message = f"is {list(self.resolution)}, which makes {self.pixels:,} pixels"
+            expected = f"at most {MAX_PIXELS:,}, which take 5 GB"
+            yield ("resolution",), fault(message, expected, "make it smaller, such as [4096, 4096]")
+        if self.target is not None and self.eye is None and self.orbit is None:
             yield ("target",), fault("is given without eye", "eye with it", "add eye: [x, y, z] in world units")
 
 
-class PinholeCameraConfig(_CameraConfig, scene.PinholeCamera):
+class PinholeCameraConfig(AnyCameraConfig, scene.PinholeCamera):
     """A perspective camera."""
 
     near: Annotated[Distance | None, "distance of the near plane, in world units; default: tight"] = None
     far: Annotated[Distance | None, "distance of the far plane, in world units; default: tight"] = None
+    moving: ClassVar[Mapping[str, Setting]] = {**AnyCameraConfig.moving, "fov_y": scene.PinholeCamera.each()["fov_y"]}
 
 
-class OrthographicCameraConfig(_CameraConfig, scene.OrthographicCamera):
+class OrthographicCameraConfig(AnyCameraConfig, scene.OrthographicCamera):
     """An orthographic camera."""
 
     height: Annotated[Distance | None, "height of the view, in world units; default: the whole scene"] = None
     near: Annotated[Coordinate | None, "distance of the near plane, in world units; default: tight"] = None
     far: Annotated[Coordinate | None, "distance of the far plane, in world units; default: tight"] = None
+    moving: ClassVar[Mapping[str, Setting]] = {**AnyCameraConfig.moving, "height": Setting.of(Distance)}
 
 
 CAMERAS = Variants(scene.Camera, "pinhole", __name__)
-CameraConfig = Annotated[scene.Camera, CAMERAS]
+CameraConfig = Annotated[AnyCameraConfig, CAMERAS]
 
 
 class SceneConfig(Section):
@@ -161,37 +374,40 @@ class SceneConfig(Section):
         Annotated[tuple[LightConfig, ...], Form("a list of lights")] | None, "several lights instead of one"
     ] = None
     ground: Annotated[Literal["auto"] | None, "auto: adds a plane under meshes that stand on nothing"] = None
+    exclusive = (("light", "lights"),)
 
     @property
     def antialiases(self) -> bool:
         """Whether pictures are antialiased."""
-        assert isinstance(self.camera, _CameraConfig)
         return self.camera.antialias
 
     @property
     def each_light(self) -> dict[KeyPath, LightConfig]:
         """All lights, by their key paths inside this section."""
         if self.lights is None:
-            assert self.light is not None
-            return {("light",): self.light}
+            return {} if self.light is None else {("light",): self.light}
         return {("lights", i): light for i, light in enumerate(self.lights)}
 
     @classmethod
     def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:
-        # `light: null` is reported in `conflicts`, unless `lights` is given instead.
+        # `light: null` is reported in `faults`, unless `lights` is given instead.
         return data if "light" in data or given(data, "lights") else {**data, "light": {}}
 
-    @classmethod
-    def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
-        meshes = data.get("meshes")
-        if isinstance(meshes, list | tuple) and not meshes:
+    def faults(self) -> Iterator[Conflict]:
+        if not self.meshes:
             yield ("meshes",), fault("is an empty list", "at least one mesh", "add '- path: builtin:torus_knot'")
-        if isinstance(meshes, list | tuple) and meshes and all(value_at(mesh, "casts") is False for mesh in meshes):
+        elif not any(mesh.casts for mesh in self.meshes):
             mend = "remove casts from one of them"
             yield ("meshes",), fault("hold no mesh that casts a shadow", "at least one mesh that casts", mend)
-        yield from exclusive(data, "light", "lights")
-        lights = data.get("lights")
-        if isinstance(lights, list | tuple) and not lights:
+        if self.lights == ():
             yield ("lights",), fault("is an empty list", "at least one light", "add '- type: directional'")
-        if lights is None and "light" in data and data["light"] is None:
+        if self.lights is None and self.light is None:
             yield ("light",), fault("is empty", "a light", "remove the key to get its default")
+
+    def cut_out(self, why: str, mend: str) -> Iterator[Conflict]:
+        """Faults of alpha tests where the outlines of casters matter."""
+        for i, mesh in enumerate(self.meshes):
+            if mesh.alpha_cutoff:
+                message = f"is {mesh.alpha_cutoff:g} {why}, whose outlines are those of whole faces"
+                what = fault(message, "meshes without an alpha test", f"remove it, or {mend}")
+                yield ("scene", "meshes", i, "alpha_cutoff"), what

@@ -1,12 +1,13 @@
-"""The base of all sections of a configuration: strict validation, variants, and checks across keys."""
+"""The base of all sections of a configuration: strict validation, variants, and rules between keys."""
 
 import functools
 import itertools
 import math
 import operator
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Annotated, Any, TypeGuard, get_args, get_origin
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, TypeGuard, get_args, get_origin
 
 from pydantic import (
     BaseModel,
@@ -21,7 +22,10 @@ from pydantic.fields import FieldInfo
 from pydantic_core import InitErrorDetails, PydanticCustomError, core_schema
 
 from ...settings import Form, LongerThan, Settings, bare, is_union
-from .._errors import show
+from .._errors import KeyPath, show
+
+if TYPE_CHECKING:
+    from ._config import Config
 
 # Enough digits for any 32-bit index.
 _LONGEST_INDEX = 10
@@ -29,8 +33,8 @@ _LONGEST_INDEX = 10
 FAULT = "diffshadow"
 """The type of the errors made by `fault`, to tell them from pydantic's own."""
 
-Conflict = tuple[tuple[str | int, ...], PydanticCustomError]
-"""A key inside a section, and what is wrong with it."""
+Conflict = tuple[KeyPath, PydanticCustomError]
+"""The path of a key, and what is wrong with it."""
 
 
 def fault(given: str, expected: str, mend: str) -> PydanticCustomError:
@@ -49,25 +53,48 @@ def marked(field: FieldInfo) -> tuple[Any, tuple[Any, ...]]:
 class Section(BaseModel, Settings):
     """A mapping in a configuration. Values are not coerced, unknown keys are errors, and sections are immutable.
 
-    `conflicts` checks several keys against each other. It works on the data as given, so that its faults are reported
-    together with the faults of single keys.
+    A section states the rules that concern it:
+
+    - `ascending`, and `exclusive`: a key, and others that cannot be given together with it. Both are checked together
+        with single keys.
+    - `faults`: between its keys, once each is valid.
+    - `faults_of_run`, `faults_of_fit`: between its keys and other sections, once all sections are valid.
     """
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+    exclusive: ClassVar[tuple[tuple[str, ...], ...]] = ()
 
     @classmethod
     def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:
-        """`data` with the defaults that depend on other keys."""
+        """`data`, whose values may have any type, with the defaults that depend on other keys."""
         return data
 
     @classmethod
     def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
-        """Faults between keys of `data`, whose values may have any type."""
+        """Faults that are reported together with those of single keys. Values of `data` may have any type."""
         yield from ()
 
     def faults(self) -> Iterator[Conflict]:
-        """Faults between keys that are valid on their own."""
+        """Faults between keys that are valid on their own. Paths are within the section."""
         yield from ()
+
+    def faults_of_run(self, config: "Config", at: KeyPath) -> Iterator[Conflict]:
+        """Faults between this section, which stands at the path `at`, and others of `config`. Paths are whole."""
+        yield from ()
+
+    def faults_of_fit(self, config: "Config", at: KeyPath) -> Iterator[Conflict]:
+        """The same, for faults that only a fit has."""
+        yield from ()
+
+    def sections(self, at: KeyPath = ()) -> Iterator[tuple[KeyPath, "Section"]]:
+        """This section, which stands at the path `at`, and all within it, each with its path."""
+        yield at, self
+        yield from _sections_in(vars(self).items(), at)
+
+    def with_value(self, path: Sequence[str | int], value: Any) -> Self:
+        """This section with another `value` at a path, which is not checked."""
+        key = str(path[0])
+        return changed(self, **{key: _with_value(getattr(self, key), path[1:], value)})
 
     @model_validator(mode="wrap")
     @classmethod
@@ -75,22 +102,78 @@ class Section(BaseModel, Settings):
         faults: list[InitErrorDetails] = []
         if isinstance(data, Mapping):
             data = cls.completed(data)
-            found = [*_out_of_order(cls, data), *cls.conflicts(data)]
+            found = [*_out_of_order(cls, data), *_given_together(cls, data), *cls.conflicts(data)]
             faults += [InitErrorDetails(type=what, loc=key, input=None) for key, what in found]
             # YAML has lists where there are tuples here, and pydantic's strict mode rejects them.
             lists = {key: data[key] for key in _lists(cls) if key in data}
             data = {**data, **{key: _as_tuple(value, *_lists(cls)[key]) for key, value in lists.items()}}
+        section, single = None, []
         try:
             section = handler(data)
+            found = [*_beyond_single_precision(vars(section).items()), *_too_short(section)] or [*section.faults()]
         except ValidationError as error:
-            faults += _merged(cls, data, map(_again, error.errors(include_url=False)))
-        else:
-            if not faults:
-                found = [*_beyond_single_precision(vars(section).items()), *_too_short(section), *section.faults()]
-                faults += [InitErrorDetails(type=what, loc=key, input=None) for key, what in found]
-            if not faults:
-                return section
-        raise ValidationError.from_exception_data(cls.__name__, faults)
+            single = error.errors(include_url=False)
+            found = _faults_of_rest(cls, data, [each["loc"] for each in single])
+        faults += [InitErrorDetails(type=what, loc=key, input=None) for key, what in found]
+        faults += _merged(cls, data, map(_again, single))
+        if faults:
+            raise ValidationError.from_exception_data(cls.__name__, faults)
+        return section
+
+
+def _faults_of_rest(section: type[Section], data: Any, invalid: Iterable[KeyPath]) -> Iterator[Conflict]:
+    """The faults between keys of a section that can be told without its `invalid` keys, which it then lacks."""
+    if isinstance(data, Mapping):
+        rest = unchecked(section, data)
+        for location in invalid:
+            _drop(rest, location)
+        # A rule that needs an invalid key is the last one.
+        with suppress(AttributeError):
+            yield from rest.faults()
+
+
+def _drop(value: Any, location: KeyPath) -> None:
+    """Removes a key from a section. Pydantic's locations contain the names of variants between keys."""
+    holder: dict[Any, Any] = {}
+    last = None
+    for step in location:
+        if isinstance(value, Section):
+            holder, last = vars(value), step
+            value = holder.get(step, value)
+        elif isinstance(value, Mapping):
+            value = value.get(step)
+        elif isinstance(value, tuple):
+            value = value[step] if isinstance(step, int) and step < len(value) else None
+    holder.pop(last, None)
+
+
+def _sections_in(entries: Iterable[tuple[str | int, Any]], at: KeyPath) -> Iterator[tuple[KeyPath, Section]]:
+    for step, value in entries:
+        if value is None or isinstance(value, str | int | float):
+            continue
+        if isinstance(value, tuple | list | dict):
+            inner = value.items() if isinstance(value, dict) else enumerate(value)
+            yield from _sections_in(inner, (*at, step))
+        elif isinstance(value, Section):
+            yield from value.sections((*at, step))
+
+
+def _with_value(holder: Any, path: Sequence[str | int], value: Any) -> Any:
+    if not path:
+        return value
+    if isinstance(holder, Section):
+        return holder.with_value(path, value)
+    at = int(path[0])
+    return (*holder[:at], _with_value(holder[at], path[1:], value), *holder[at + 1 :])
+
+
+def frozen(value: Any) -> Hashable:
+    """What tells sections, and lists and mappings of them, from others: a key of caches."""
+    if isinstance(value, Section):
+        return type(value), *(frozen(getattr(value, key)) for key in type(value).model_fields)
+    if isinstance(value, Mapping):
+        return tuple((key, frozen(entry)) for key, entry in value.items())
+    return tuple(map(frozen, value)) if isinstance(value, list | tuple) else value
 
 
 # The range of normal float32 numbers, in which everything is computed. Numbers closer to 0 are flushed to 0.
@@ -144,6 +227,14 @@ def _out_of_order(section: type[Section], data: Mapping[str, Any]) -> Iterator[C
     """Faults of keys that should be in ascending order."""
     for low, high, *equal in section.ascending:
         yield from ordered(section, data, low, high, equal=bool(equal))
+
+
+def _given_together(section: type[Section], data: Mapping[str, Any]) -> Iterator[Conflict]:
+    """Faults of keys that are given together with one that excludes them."""
+    for key, *others in section.exclusive:
+        for other in given(data, *others) if given(data, key) else ():
+            mend = f"remove {other} or {key}, or set it to null"
+            yield (other,), fault(f"is given together with {key}", "one or the other", mend)
 
 
 def _as_tuple(value: Any, kind: Any, marks: Sequence[Any] = ()) -> Any:
@@ -263,7 +354,9 @@ def _section_of(settings: type[Settings], module: str) -> type[Section]:
 
 
 def _made(settings: type[Settings], module: str) -> type[Section]:
-    bases: Any = (Section, settings)
+    # Rules that hold for several classes are written once, in the section of what these have in common.
+    shared = (each for base in settings.__mro__[1:] if "type" not in vars(base) for each in base.__subclasses__())
+    bases: Any = (next((each for each in shared if issubclass(each, Section)), Section), settings)
     made: Any = create_model(f"{settings.__name__}Config", __base__=bases, __module__=module, __doc__=settings.__doc__)
     return made
 
@@ -282,6 +375,33 @@ def settings_of(section: type[Section]) -> type[Settings]:
 def type_of(section: type[Section]) -> str:
     """The word in `type` that selects this variant of a section."""
     return section.model_fields["type"].default
+
+
+def unchecked(section: type[Section], data: Any) -> Any:
+    """A section of `data` whose values may have any type. What is no mapping counts as empty."""
+    given = section.completed(data if isinstance(data, Mapping) else {})
+    slots = {key: (field, *marked(field)) for key, field in section.model_fields.items()}
+    values = {
+        key: _unchecked(kind, marks, given.get(key))
+        for key, (field, kind, marks) in slots.items()
+        if given.get(key) is not None or field.is_required()
+    }
+    return section.model_construct(**values)
+
+
+def _unchecked(kind: Any, marks: Sequence[Any], data: Any) -> Any:
+    for mark in marks:
+        if isinstance(mark, Variants):
+            return unchecked(mark.of(data), data)
+    if isinstance(kind, type) and issubclass(kind, Section):
+        return unchecked(kind, data)
+    if get_origin(kind) is tuple:
+        entry = bare(get_args(kind)[0])
+        return tuple(_unchecked(*entry, each) for each in data) if isinstance(data, list | tuple) else ()
+    if get_origin(kind) is dict and isinstance(data, Mapping):
+        entry = bare(get_args(kind)[1])
+        return {key: _unchecked(*entry, each) for key, each in data.items()}
+    return data
 
 
 def value_at(data: Any, *path: str, default: Any = None) -> Any:
@@ -307,17 +427,6 @@ def is_index(word: str) -> bool:
 def given(data: Mapping[str, Any], *keys: str) -> list[str]:
     """The `keys` that have a value in `data`."""
     return [key for key in keys if data.get(key) is not None]
-
-
-def exclusive(data: Mapping[str, Any], key: str, *others: str) -> Iterator[Conflict]:
-    """A conflict for each of `others` that is given together with `key`."""
-    if data.get(key) is None:
-        return
-    for other in given(data, *others):
-        yield (
-            (other,),
-            fault(f"is given together with {key}", "one or the other", f"remove {other} or {key}, or set it to null"),
-        )
 
 
 def ordered(

@@ -1,13 +1,13 @@
 """The section of a sweep, which makes many runs from one configuration."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Annotated, Any, Literal
+from collections.abc import Iterator, Sequence
+from typing import Annotated, Literal
 
 from ...settings import Form, Limits, Unit
 from ...settings.patterns import PatternSamples
 from .._errors import KeyPath, did_you_mean, dotted, listing, show
-from ._axes import LABEL, AxesConfig, PathConfig, settings_of
-from ._section import Conflict, Section, exclusive, fault, value_at
+from ._axes import LABEL, AxesConfig, PathConfig, bad_list
+from ._section import Conflict, Section, fault
 
 _FIXED = ("name", "output", "sweep")
 _ERRORS = ("rmse", "mae", "ssim", "false_shadow_rate", "false_light_rate")
@@ -34,11 +34,10 @@ class FlickerConfig(PathConfig):
 
     count: Annotated[int, Unit("frames"), Limits(2, 256), "number of frames, both ends included; each traces rays"]
 
-    @classmethod
-    def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
-        yield from super().conflicts(data)
-        for key in data.get("through") or () if isinstance(data.get("through"), Mapping) else ():
-            if isinstance(key, str) and ".".join(key.split(".")[:2]) not in _MOVES:
+    def faults(self) -> Iterator[Conflict]:
+        yield from super().faults()
+        for key in self.through:
+            if ".".join(key.split(".")[:2]) not in _MOVES:
                 given = "is neither the camera's nor a light's"
                 mend = "take another key, such as scene.light.azimuth"
                 yield ("through", key), fault(given, f"keys within {listing(_MOVES)}", mend)
@@ -64,61 +63,51 @@ class SweepConfig(AxesConfig):
     plot: Annotated[PlotConfig | None, "a figure of the results; default: none"] = None
     figures: Annotated[bool, "whether each run also writes its own figures"] = False
     csv: Annotated[bool, "whether the table is also written as CSV where it is Parquet"] = False
+    exclusive = (("repeats", "seeds"),)
 
     @property
     def axes(self) -> tuple[str, ...]:
         """The swept keys, once each, from slowest to fastest. The seed is always last, even if it is not swept."""
         return tuple(dict.fromkeys([*(key for key in super().axes if key != "seed"), "seed"]))
 
-    @classmethod
-    def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
-        settings = [*settings_of(data)]
-        if not settings and not data.get("list"):
-            mend = "add 'grid: {filter.radius: [1, 2, 4]}'"
-            expected = "list, grid, files, zip, path, sun, qmc, repeats or seeds"
-            yield (), fault("sweeps no key", expected, mend)
-        yield from exclusive(data, "repeats", "seeds")
-        yield from super().conflicts(data)
-        yield from _bad_plot(data, settings)
-        if data.get("run") == "fit":
-            what = fault("is given with run: fit", "run: render, where nothing is fitted", "remove one of them")
-            yield from (((key,), what) for key in ("limit_samples", "flicker") if data.get(key) is not None)
-        yield from _moved_and_swept(data, settings)
+    def assigned(self) -> Iterator[tuple[KeyPath, str]]:
+        yield from super().assigned()
+        yield from (((key,), "seed") for key in ("repeats", "seeds") if getattr(self, key) is not None)
 
-    @classmethod
-    def fixed(cls, settings: Sequence[tuple[KeyPath, str]]) -> Iterator[Conflict]:
-        for path, key in settings:
+    def faults(self) -> Iterator[Conflict]:
+        assigned = [*self.assigned()]
+        if not assigned and not self.list:
+            mend = "add 'grid: {filter.radius: [1, 2, 4]}'"
+            yield (), fault("sweeps no key", "list, grid, files, zip, path, sun, qmc, repeats or seeds", mend)
+        for path, key in assigned:
             if key.split(".")[0] in _FIXED:
                 what = fault("is the same for all runs", "keys that affect a run's results", "set it outside of sweep")
                 yield path, what
+        yield from super().faults()
+        if self.seeds is not None:
+            yield from bad_list(("seeds",), self.seeds)
+        yield from self._bad_plot([*dict.fromkeys(key for _, key in assigned)])
+        for key in ("limit_samples", "flicker"):
+            if self.run == "fit" and getattr(self, key) is not None:
+                what = "is given with run: fit", "run: render, where nothing is fitted", "remove one of them"
+                yield (key,), fault(*what)
+        # Keys of `flicker` that an axis sets.
+        for key in self.flicker.through if self.flicker else ():
+            axis = next((path for path, swept in assigned if f"{key}.".startswith(f"{swept}.")), None)
+            if axis is not None:
+                message = f"moves {key}, and {dotted(('sweep', *axis))} sets it"
+                yield ("flicker", "through", key), fault(message, "keys that no axis sets", "remove one of them")
 
-
-def _bad_plot(data: Mapping[str, Any], settings: Sequence[tuple[KeyPath, str]]) -> Iterator[Conflict]:
-    axes = dict.fromkeys(key for _, key in settings)
-    entries = data.get("list")
-    if isinstance(entries, list | tuple) and any(isinstance(entry, Mapping) and LABEL in entry for entry in entries):
-        axes[LABEL] = None
-    for key in ("x", "lines", "panels"):
-        axis = value_at(data, "plot", key)
-        if isinstance(axis, str) and axes and axis not in axes:
-            mend = did_you_mean(axis, axes, "name one of these")
-            yield ("plot", key), fault(f"is {show(axis)}, which is not swept", listing(axes), mend)
-    y, metrics = value_at(data, "plot", "y", default="rmse"), _metrics(data)
-    if isinstance(data.get("plot"), Mapping) and isinstance(y, str) and data.get("run") != "fit" and y not in metrics:
-        yield ("plot", "y"), fault(f"is {show(y)}", listing(metrics), did_you_mean(y, metrics, "name one of these"))
-
-
-def _moved_and_swept(data: Mapping[str, Any], settings: Sequence[tuple[KeyPath, str]]) -> Iterator[Conflict]:
-    """Faults of keys of `flicker` that an axis sets."""
-    through = value_at(data, "flicker", "through")
-    for key in through if isinstance(through, Mapping) else ():
-        axis = next((path for path, swept in settings if f"{key}.".startswith(f"{swept}.")), None)
-        if axis is not None:
-            message = f"moves {key}, and {dotted(('sweep', *axis))} sets it"
-            yield ("flicker", "through", key), fault(message, "keys that no axis sets", "remove one of them")
-
-
-def _metrics(data: Mapping[str, Any]) -> list[str]:
-    """The metrics of a render."""
-    optional = {"limit_samples": LIMIT_ERROR, "flicker": FLICKER}
-    return [*_ERRORS, *(name for key, name in optional.items() if data.get(key) is not None)]
+    def _bad_plot(self, axes: Sequence[str]) -> Iterator[Conflict]:
+        if self.plot is None:
+            return
+        axes = [*axes, *([LABEL] if any(LABEL in entry for entry in self.list or ()) else [])]
+        for key, axis in (("x", self.plot.x), ("lines", self.plot.lines), ("panels", self.plot.panels)):
+            if axis is not None and axes and axis not in axes:
+                mend = did_you_mean(axis, axes, "name one of these")
+                yield ("plot", key), fault(f"is {show(axis)}, which is not swept", listing(axes), mend)
+        y, optional = self.plot.y, {LIMIT_ERROR: self.limit_samples, FLICKER: self.flicker}
+        metrics = [*_ERRORS, *(name for name, given in optional.items() if given is not None)]
+        if self.run != "fit" and y not in metrics:
+            mend = did_you_mean(y, metrics, "name one of these")
+            yield ("plot", "y"), fault(f"is {show(y)}", listing(metrics), mend)

@@ -1,27 +1,152 @@
-"""Sections of the shadow technique, the shadow map and the compare."""
+"""Sections of a technique: how maps are drawn and laid out, biases, compares and filters."""
 
 import itertools
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, get_args
+
+from pydantic import Field
 
 from ..._words import counted
-from ...settings import engines, maps, techniques
-from ...settings.techniques import MAX_ACROSS
-from ._section import Conflict, Section, Variants, exclusive, fault
+from ...settings import Form, biases, engines, filters, maps, rules, techniques
+from ...settings.biases import Number
+from ...settings.patterns import MAX_TAPS, Pattern, Vogel
+from ...settings.quantities import MAX_TEXELS
+from ...settings.scene import LightKind
+from ...settings.techniques import MAX_ACROSS, SPARE
+from .._errors import KeyPath, dotted
+from ._section import Conflict, Section, Variants, changed, fault, given, is_number, value_at
+
+if TYPE_CHECKING:
+    from ._config import Config
+
+Bounds = Mapping[str, Any]
+"""Sections of fitted numbers, by name."""
+# About 64 bytes each while four moments of a map are blurred: 4 GB. This is one map of 8192 x 8192.
+_MAX_TEXELS = 1 << 26
 
 
-class CascadesConfig(Section, techniques.Cascades):
+def _too_many_texels(config: "Config", path: KeyPath, resolution: tuple[int, int], layers: int) -> Iterator[Conflict]:
+    """A fault of maps of a `resolution`, so many of each light, that would take too much memory."""
+    height, width = resolution
+    count = sum(light.maps(layers) for light in config.scene.each_light.values())
+    if count * height * width > _MAX_TEXELS:
+        message = f"is [{height}, {width}], and {count} such maps hold {count * height * width:,} texels"
+        expected = f"at most {_MAX_TEXELS:,}, which take 4 GB while they are blurred"
+        mend = "make it smaller, or use fewer lights or cascades; a point light has six maps"
+        yield path, fault(message, expected, mend)
+
+
+class AnyTechniqueConfig(Section, techniques.Technique):
+    """How shadows are drawn.
+
+    - `is_mapped`: whether the sections shadow_map, bias, compare and filter set it up.
+    - `is_selective`: whether meshes may show no shadows.
+    """
+
+    is_mapped: ClassVar[bool] = False
+    is_selective: ClassVar[bool] = False
+
+    def laid_out(self, config: "Config", bounds: Bounds) -> Self:
+        """The technique with what its layout is drawn for, where that is not given: as much as fitted numbers within
+        `bounds` need."""
+        return self
+
+    def max_share(self, bounds: Bounds) -> float | None:
+        """The greatest part of all texels that a cascade may have, in (0, 1]; none unless cascades have shares.
+
+        **Arguments:**
+
+        - `bounds`: by name, of fitted numbers, which may have any value within them.
+        """
+        return None
+
+    def faults_of_fit(self, config: "Config", at: KeyPath) -> Iterator[Conflict]:
+        if config.moves and self.is_whole:
+            message = f"is {self.type} in a fit of lights or meshes"
+            yield ("technique", "type"), fault(message, "shadow_map or cascades", "change it")
+
+
+class MappedConfig(AnyTechniqueConfig, techniques.Mapped):
+    """Shadow maps."""
+
+    is_mapped = True
+
+    def faults_of_run(self, config: "Config", at: KeyPath) -> Iterator[Conflict]:
+        yield from _too_many_texels(config, ("shadow_map", "resolution"), config.shadow_map.resolution, self.layers)
+
+
+class FittedLayoutConfig(MappedConfig, techniques.FittedLayout):
+    """Maps that are fitted to what a camera sees, under directional lights."""
+
+    def laid_out(self, config: "Config", bounds: Bounds) -> Self:
+        return self if self.margin is not None else changed(self, margin=config.reach(bounds).texels + SPARE)
+
+    def faults_of_run(self, config: "Config", at: KeyPath) -> Iterator[Conflict]:
+        yield from super().faults_of_run(config, at)
+        yield from self._beyond_margins(config, {})
+        for key, light in config.scene.each_light.items():
+            if light.type != "directional":
+                message = f"is {light.type}, while technique.type is {self.type}"
+                mend = "change it, or set technique.type to shadow_map"
+                yield ("scene", *key, "type"), fault(message, "directional", mend)
+
+    def faults_of_fit(self, config: "Config", at: KeyPath) -> Iterator[Conflict]:
+        yield from self._beyond_margins(config, config.fit.parameters)
+
+    def _beyond_margins(self, config: "Config", bounds: Bounds) -> Iterator[Conflict]:
+        """A fault of a given margin that is narrower than filters read, with fitted numbers at their `bounds`."""
+        reach = config.reach(bounds)
+        # A margin that is too narrow without the bounds is a fault of the run.
+        if self.margin is None or self.margin >= reach.texels or (bounds and self.margin < config.reach({}).texels):
+            return
+        by = f"{dotted(reach.path)} lets the filter read" if reach.is_of_fit else "the filter reads"
+        message = f"is {self.margin:g}, and {by} {reach.texels:g} texels away, where the map may end"
+        yield ("technique", "margin"), fault(message, f"at least {reach.texels:g}", "raise it, or remove it")
+
+
+class OneMapConfig(FittedLayoutConfig):
+    """A layout of one map, which lacks what other maps may have."""
+
+    lacks: ClassVar[tuple[str, ...]] = ("silhouettes",)
+
+    def faults_of_run(self, config: "Config", at: KeyPath) -> Iterator[Conflict]:
+        yield from super().faults_of_run(config, at)
+        for key in self.lacks:
+            if getattr(config.shadow_map, key):
+                message = f"is given, and technique.type is {self.type}, whose maps cannot have it"
+                yield ("shadow_map", key), fault(message, "a map without it", "remove it, or choose another technique")
+
+    def faults_of_fit(self, config: "Config", at: KeyPath) -> Iterator[Conflict]:
+        yield from super().faults_of_fit(config, at)
+        if config.moves:
+            message = f"is {self.type} in a fit of lights or meshes, which needs maps with silhouettes"
+            yield ("technique", "type"), fault(message, "shadow_map or cascades", "change it")
+
+
+class CascadesConfig(FittedLayoutConfig, techniques.Cascades):
     """Cascaded shadow maps: a map for each of several ranges of the camera's depth, under directional lights."""
 
-    @classmethod
-    def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
-        yield from exclusive(data, "distances", "shadow_distance")
-        if data.get("distances") is not None and data.get("depths", "camera") != "camera":
-            yield ("depths",), fault("is surface, and distances are given", "camera", "remove depths, or distances")
+    exclusive = (("distances", "shadow_distance"),)
+
+    def laid_out(self, config: "Config", bounds: Bounds) -> Self:
+        section, blend = super().laid_out(config, bounds), bounds.get("technique.blend")
+        if self.max_blend is not None or blend is None:
+            return section
+        return changed(section, max_blend=max(self.blend, blend.upper))
+
+    def max_share(self, bounds: Bounds) -> float | None:
+        if self.shares is None:
+            return None
+        ends = [bounds.get(f"technique.shares.{i}") for i in range(len(self.shares))]
+        low = [min(share, end.lower) if end else share for share, end in zip(self.shares, ends, strict=True)]
+        high = [max(share, end.upper) if end else share for share, end in zip(self.shares, ends, strict=True)]
+        return max(most / (most + sum(low) - least) for least, most in zip(low, high, strict=True))
 
     def faults(self) -> Iterator[Conflict]:
-        given = self.distances or ()
-        for i, (before, after) in enumerate(itertools.pairwise(given)):
+        if self.distances is not None and self.depths != "camera":
+            yield ("depths",), fault("is surface, and distances are given", "camera", "remove depths, or distances")
+        for i, (before, after) in enumerate(itertools.pairwise(self.distances or ())):
             if after <= before:
                 message = f"is {after:g}, after {before:g}"
                 yield ("distances", i + 1), fault(message, "increasing depths", "sort them, without repetitions")
@@ -29,8 +154,60 @@ class CascadesConfig(Section, techniques.Cascades):
             message = f"has {counted(len(self.shares), 'share')}, for {counted(self.layers, 'cascade')}"
             yield ("shares",), fault(message, "as many", "give one for each cascade")
 
+    def faults_of_run(self, config: "Config", at: KeyPath) -> Iterator[Conflict]:
+        yield from super().faults_of_run(config, at)
+        yield from self._too_large_a_share(config, {})
+        if self.shares is None:
+            return
+        resolution, mend = config.shadow_map.resolution, "change it, or remove technique.shares"
+        if resolution[0] != resolution[1]:
+            message = f"is {list(resolution)}, and technique.shares are given, for square maps"
+            yield ("shadow_map", "resolution"), fault(message, "two equal numbers", mend)
+        if config.shadow_map.silhouettes:
+            message = "is true, and technique.shares are given, for maps without silhouettes"
+            yield ("shadow_map", "silhouettes"), fault(message, "false", mend)
 
-class ResolutionMatchedConfig(Section, techniques.ResolutionMatched):
+    def faults_of_fit(self, config: "Config", at: KeyPath) -> Iterator[Conflict]:
+        yield from super().faults_of_fit(config, at)
+        yield from self._too_large_a_share(config, config.fit.parameters)
+        if config.moves and self.shares and config.has_silhouettes:
+            message = "is given in a fit of lights or meshes, which needs maps with silhouettes"
+            yield ("technique", "shares"), fault(message, "cascades of one size", "remove it")
+        if self.distances is not None:
+            why = "technique.distances is given"
+            yield from _unused(config, "logarithmic", why, "remove it, or technique.distances")
+
+    def _too_large_a_share(self, config: "Config", bounds: Bounds) -> Iterator[Conflict]:
+        """A fault of layers as large as the largest cascade, with fitted shares at their `bounds`."""
+        greatest = self.max_share(bounds)
+        if greatest is None or (bounds and greatest == self.max_share({})):
+            # What does not depend on the bounds is a fault of the run.
+            return
+        (height, width), count = config.shadow_map.resolution, self.layers * len(config.scene.each_light)
+        side = int((height * width * self.layers * greatest) ** 0.5)
+        if side <= MAX_TEXELS and side**2 * count <= _MAX_TEXELS:
+            return
+        message = f"lets a cascade have {greatest:.3g} of all texels: {side:,}², for which every map has memory"
+        most = min(MAX_TEXELS, int((_MAX_TEXELS / count) ** 0.5))
+        mend = f"lower it, or shadow_map.resolution = [{height}, {width}]"
+        yield (("fit", "parameters") if bounds else ("technique", "shares")), fault(message, f"at most {most:,}²", mend)
+
+
+class PerspectiveWarpConfig(OneMapConfig, techniques.PerspectiveWarp):
+    """One map under each directional light, warped so that what is close to the camera gets more texels."""
+
+    lacks = ("silhouettes", "polygon_offset")
+
+    def faults_of_fit(self, config: "Config", at: KeyPath) -> Iterator[Conflict]:
+        yield from super().faults_of_fit(config, at)
+        if self.strength is not None or "technique.strength" in config.fit.parameters:
+            yield from _unused(config, "focus", "technique.strength replaces it", "remove one of them")
+        elif self.method != "trapezoidal":
+            mend = "remove it, or set the method to trapezoidal"
+            yield from _unused(config, "focus", f"technique.method is {self.method}", mend)
+
+
+class ResolutionMatchedConfig(OneMapConfig, techniques.ResolutionMatched):
     """A virtual map under each directional light. Only the pages that the camera needs are drawn, at the resolution of
     the screen."""
 
@@ -46,16 +223,269 @@ class ResolutionMatchedConfig(Section, techniques.ResolutionMatched):
             message = f"is {self.margin:g}, and pages are {self.page} texels wide"
             yield ("margin",), fault(message, "at most half of that", "lower it, or enlarge page")
 
+    def faults_of_run(self, config: "Config", at: KeyPath) -> Iterator[Conflict]:
+        yield from super().faults_of_run(config, at)
+        yield from self._beyond_gutters(config, {})
 
-# The engines' techniques are defined in a file of their own, which must be loaded first.
-_ENGINES = engines.Engine
+    def faults_of_fit(self, config: "Config", at: KeyPath) -> Iterator[Conflict]:
+        yield from super().faults_of_fit(config, at)
+        yield from self._beyond_gutters(config, config.fit.parameters)
+
+    def _beyond_gutters(self, config: "Config", bounds: Bounds) -> Iterator[Conflict]:
+        """A fault of a filter that reads further than half a page, with fitted numbers at their `bounds`."""
+        reach = config.reach(bounds)
+        is_within = self.margin is not None or reach.texels + SPARE <= self.page // 2
+        if not is_within and (reach.is_of_fit or not bounds):
+            far = f"{reach.texels:g} texels away, further than a gutter of technique.page = {self.page}"
+            expected = f"at most {self.page / 2 - SPARE:g}"
+            yield reach.path, fault(f"lets the filter read {far}", expected, "enlarge technique.page, or lower it")
+
+
+def _unused(config: "Config", key: str, why: str, mend: str) -> Iterator[Conflict]:
+    """A fault if a number of a layout is fitted that others replace."""
+    name = f"technique.{key}"
+    if name in config.fit.parameters:
+        what = fault(f"changes nothing, since {why}", "a number that the layout uses", mend)
+        yield ("fit", "parameters", name), what
+
+
+class ShadowVolumesConfig(AnyTechniqueConfig, techniques.ShadowVolumes):
+    """Hard shadows from shadow volumes, without a map."""
+
+    def faults_of_run(self, config: "Config", at: KeyPath) -> Iterator[Conflict]:
+        yield from config.scene.cut_out("with shadow volumes", "choose another technique")
+
+
+class ProjectiveShadowConfig(AnyTechniqueConfig, techniques.ProjectiveShadow):
+    """The casters' silhouette, drawn into a texture and projected onto the meshes that do not cast."""
+
+    def faults_of_run(self, config: "Config", at: KeyPath) -> Iterator[Conflict]:
+        yield from _too_many_texels(config, ("technique", "resolution"), self.resolution, 1)
+        if all(mesh.casts for mesh in config.scene.meshes):
+            message, mend = (
+                "projects shadows onto meshes that do not cast, and all of scene.meshes cast",
+                ("set casts: false for the receivers"),
+            )
+            yield ("technique", "type"), fault(message, "a mesh that does not cast", mend)
+
+
+class EngineConfig(AnyTechniqueConfig, engines.Engine):
+    """The shadows of an engine. `of_meshes` are its keys that may hold a list with an entry for each mesh."""
+
+    is_selective = True
+    of_meshes: ClassVar[tuple[str, ...]] = ()
+
+    def faults_of_run(self, config: "Config", at: KeyPath) -> Iterator[Conflict]:
+        resolution, count = config.shadow_map.resolution, len(config.scene.meshes)
+        yield from _too_many_texels(config, ("shadow_map", "resolution"), resolution, 1)
+        for key, light in config.scene.each_light.items():
+            if light.type not in get_args(LightKind):
+                what = fault(f"is {light.type}, which no engine has", "directional, spot or point", "change it")
+                yield ("scene", *key, "type"), what
+        if resolution[0] != resolution[1] and (why := self.square_for(config)):
+            yield (
+                ("shadow_map", "resolution"),
+                fault(f"is {list(resolution)}, and {why}", "two equal numbers", "change it"),
+            )
+        for name in self.of_meshes:
+            sides = getattr(self, name)
+            if isinstance(sides, tuple) and len(sides) != count:
+                message = f"has {counted(len(sides), 'entry')}, and the scene has {counted(count, 'mesh')}"
+                yield ("technique", name), fault(message, "one for each", "give one for all, or one for each")
+
+    def square_for(self, config: "Config") -> str:
+        """Why maps must be square; empty if they need not be."""
+        has_cube = any(light.type == "point" for light in config.scene.each_light.values())
+        return "a light is point, whose map is a cube's faces in engines" if has_cube else ""
+
+
+class ThreeJsConfig(EngineConfig, engines.ThreeJs):
+    """The shadows of three.js r187, by the names, units and defaults of light.shadow and renderer.shadowMap."""
+
+    of_meshes = ("side", "shadow_side")
+
+    def faults_of_run(self, config: "Config", at: KeyPath) -> Iterator[Conflict]:
+        yield from super().faults_of_run(config, at)
+        for key, light in config.scene.each_light.items():
+            if light.type == "point" and self.shadow_type == "VSMShadowMap":
+                message = "is point, for which three.js draws no VSMShadowMap"
+                what = fault(message, "directional or spot", "change it, or technique.shadow_type")
+                yield ("scene", *key, "type"), what
+
+
+class BabylonJsConfig(EngineConfig, engines.BabylonJs):
+    """The shadows of Babylon.js 9.34 (WebGL2), by the names, units and defaults of its ShadowGenerator. The map must be
+    square."""
+
+    of_meshes = ("back_face_culling",)
+
+    def square_for(self, config: "Config") -> str:
+        return "technique.type is babylon.js, whose maps are square"
+
+
 TECHNIQUES = Variants(techniques.Technique, "shadow_map", __name__)
-TechniqueConfig = Annotated[techniques.Technique, TECHNIQUES]
+TechniqueConfig = Annotated[AnyTechniqueConfig, TECHNIQUES]
 
 
 class ShadowMapConfig(Section, maps.ShadowMap):
     """The depth map drawn from the light."""
 
+    def faults_of_run(self, config: "Config", at: KeyPath) -> Iterator[Conflict]:
+        if self.silhouettes:
+            yield from self._silhouettes_of_others(config, "with silhouettes")
+
+    def faults_of_fit(self, config: "Config", at: KeyPath) -> Iterator[Conflict]:
+        if config.moves and self.silhouettes is None:
+            yield from self._silhouettes_of_others(config, "in a fit of lights or meshes, with silhouettes")
+
+    def _silhouettes_of_others(self, config: "Config", why: str) -> Iterator[Conflict]:
+        """Faults of a map with silhouettes that does not store the nearest of all faces."""
+        if not config.technique.is_mapped:
+            return
+        for key, value, plain in (("depth_layer", self.depth_layer, "nearest"), ("cull", self.cull, "none")):
+            if value != plain:
+                mend = "remove it, or set shadow_map.silhouettes to false"
+                yield ("shadow_map", key), fault(f"is {value} {why}", plain, mend)
+        yield from config.scene.cut_out(why, "set shadow_map.silhouettes to false")
+
 
 COMPARES = Variants(maps.Compare, "hard", __name__)
 CompareConfig = Annotated[maps.Compare, COMPARES]
+
+
+PLANES = Variants(biases.Plane, "none", __name__)
+PlaneConfig = Annotated[biases.Plane, PLANES]
+
+
+class TermsConfig(Section, biases.Terms):
+    """The weights of a bias that is linear in what a shader knows of a receiver; a sum below 0 counts as 0."""
+
+    @property
+    def given(self) -> bool:
+        """Whether there is any."""
+        return any(getattr(self, key) is not None for key in type(self).model_fields)
+
+
+_Numbers = Annotated[tuple[Number, ...], Form("a list of numbers")]
+
+
+class LayerConfig(Section):
+    """A hidden layer of a network."""
+
+    weight: Annotated[
+        tuple[_Numbers, ...], Form("a list of lists of numbers"), "a list of weights for each of the layer's values"
+    ]
+    bias: Annotated[_Numbers, "what is added to each of the layer's values"]
+
+
+class NetworkConfig(Section):
+    """A perceptron that corrects the terms. Its inputs are all features of the terms except `one`."""
+
+    hidden: Annotated[tuple[LayerConfig, ...], Form("a list of layers"), "hidden layers, each with weight and bias"]
+    last: Annotated[_Numbers, "weights of the last hidden layer's values, in texels"]
+
+
+class BiasConfig(Section, biases.Bias):
+    """Biases, which move receivers towards the light before the compare."""
+
+    terms: TermsConfig = Field(
+        default_factory=TermsConfig, description="a bias that depends on several things that a shader knows"
+    )
+    network: Annotated[NetworkConfig | None, "a perceptron that corrects terms; default: none"] = None
+    plane: PlaneConfig = Field(default_factory=PLANES.make, description="bias from the receiver's plane")
+
+    def faults(self) -> Iterator[Conflict]:
+        if self.network is not None and not self.terms.given:
+            what = fault("is given without terms", "the terms that it corrects", "give terms, such as {slope: 0.5}")
+            yield ("network",), what
+
+    def faults_of_run(self, config: "Config", at: KeyPath) -> Iterator[Conflict]:
+        if self.factors is None or not isinstance(config.technique, MappedConfig):
+            return
+        given = len(self.factors)
+        for light in config.scene.each_light.values():
+            maps = light.maps(config.technique.layers)
+            if maps == 1:
+                message, mend = f"has {given} factors, for a light with one map", "remove it, or use cascades"
+                yield ("bias", "factors"), fault(message, "a light with several maps", mend)
+            elif maps != given:
+                message = f"has {given} factors, for a light with {maps} maps"
+                yield ("bias", "factors"), fault(message, "as many", "give one for each map")
+
+
+class PatternedConfig(Section, Pattern):
+    """A filter whose taps follow a pattern, a different one for each pixel of a tile."""
+
+    def faults(self) -> Iterator[Conflict]:
+        taps = self.samples * self.pattern_size**2
+        if taps > MAX_TAPS:
+            message = f"is {self.samples} with pattern_size {self.pattern_size}, which makes {taps:,} taps per tile"
+            expected = f"at most {MAX_TAPS:,}, which take seconds to generate"
+            yield ("samples",), fault(message, expected, "lower one of them")
+
+    @classmethod
+    def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:
+        if data.get("pattern") != "vogel":
+            return data
+        return {"pattern_size": Vogel.pattern_size, "rotated": Vogel.rotated, **data}
+
+
+class RandomDiskConfig(PatternedConfig, filters.RandomDisk):
+    """Taps on a disk."""
+
+
+class PercentageCloserSoftConfig(PatternedConfig, filters.PercentageCloserSoft):
+    """A disk as wide as the penumbra, which is estimated by a blocker search."""
+
+    def faults_of_fit(self, config: "Config", at: KeyPath) -> Iterator[Conflict]:
+        bounds = config.fit.parameters.get("filter.min_radius")
+        if bounds is not None and bounds.upper > self.max_radius:
+            message = f"is {bounds.upper:g}, and filter.max_radius is {self.max_radius:g}"
+            what = fault(message, "at most filter.max_radius", "lower it, or raise filter.max_radius")
+            yield ("fit", "parameters", "filter.min_radius", "upper"), what
+
+
+FILTERS = Variants(filters.Filter, "random_disk", __name__)
+FilterConfig = Annotated[filters.Filter, FILTERS]
+
+
+_NONE = {"constant": 0.0, "slope": 0.0}
+_PLANES = ({}, {"type": "none"}, {"type": "receiver_plane"})
+"""Sections of a plane that the rules were measured with."""
+
+
+def with_bias(data: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The data of a configuration with a constant and a slope bias. What is no valid section is reported elsewhere."""
+    bias, kernel = data.get("bias", {}), data.get("filter", {})
+    if not isinstance(bias, Mapping) or not isinstance(kernel, Mapping):
+        return data
+    rule = {key: _within(data, key, value) for key, value in _rule(bias, kernel).items()}
+    return {**data, "bias": {**rule, **bias}}
+
+
+def _has_terms(bias: Mapping[str, Any]) -> bool:
+    """`TermsConfig.given` of a bias that is not validated yet. What is no mapping is reported elsewhere."""
+    terms = bias.get("terms")
+    return bool(given(terms, *terms) if isinstance(terms, Mapping) else terms)
+
+
+def _rule(bias: Mapping[str, Any], kernel: Mapping[str, Any]) -> Mapping[str, float]:
+    # Rules are in texels, and a bias of terms needs no other.
+    if bias.get("unit") == "depth" or _has_terms(bias) or bias.get("plane", {}) not in _PLANES:
+        return _NONE
+    kind: Any = FILTERS.of(kernel)
+    values = {key: kernel.get(key, field.default) for key, field in kind.model_fields.items()}
+    plane = value_at(bias, "plane", "type", default="none") != "none"
+    if not issubclass(kind, rules.MEASURED):
+        return rules.bias_of(kind, 0.0, plane=plane)._asdict()
+    if not all(is_number(values[key]) for key in ("radius", "size") if key in values):
+        return _NONE
+    return rules.bias_of(kind, float(kind.reach_of(SimpleNamespace(**values))), plane=plane)._asdict()
+
+
+def _within(data: Mapping[str, Any], key: str, value: float) -> float:
+    """A number of the bias, moved into the bounds that it is fitted within."""
+    bounds = value_at(data, "fit", "parameters", f"bias.{key}")
+    low, high = (value_at(bounds, end) for end in ("lower", "upper"))
+    value = min(value, float(MAX_TEXELS))
+    return min(max(value, float(low)), float(high)) if is_number(low) and is_number(high) else value

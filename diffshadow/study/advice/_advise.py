@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
+from pydantic import ValidationError
 from rich.console import Console
 from rich.table import Table
 
@@ -14,23 +15,24 @@ from ..._words import counted
 from ...config import RECOMMENDED_FILE as RECOMMENDED
 from ...config import Advice, Config, fit_units, with_fitted
 from ...settings.fit import Loss
-from ..files._run_folder import folder_of
-from ..files._schema import are_measurements, read_json, write_json
-from ..files._stored import ADVISE
 from ..pages import _table as table
+from ..record import _sweeps as record
+from ..record._files import json_of, read_json, write_record
+from ..record._folder import folder_of
+from ..record._sweeps import AdviseRecord, Candidate, LeastBias, Measurements, Times
 from ..runs._progress import counting
-from ..runs._record import versions, write_yaml
+from ..runs._write import versions, yaml_of
 from ..sweeps._pace import Pace, saying_how_long
-from ..sweeps._run import counts_of, doing, failures, print_plan, record_of, write_record
+from ..sweeps._run import about, counts_of, doing, failures, print_plan
 from ..sweeps._table import rows_of
 from ..sweeps._work import FITTED, OK, VALIDATION
-from ._candidates import Candidate, front, ranked, recommended
+from ._candidates import front, ranked, recommended
 from ._engines import code_file, engine_code, title_of
 from ._large import large_biases
-from ._measure import LeastBias, least_bias_for, measure_times, single_bias, steps_of, unexplained_by
+from ._measure import least_bias_for, measure_times, single_bias, steps_of, unexplained_by
 from ._report import report_advice
 from ._special_cases import as_special_case
-from ._times import Load, Times
+from ._times import busy_remark
 from ._verdict import Findings, verdict
 
 SUFFIX = "-advise"
@@ -62,7 +64,7 @@ def run_advise(advice: Advice, *, console: Console, scheduler: str | None = None
     sweep = advice.sweep
     folder = folder_of(sweep.runs[0].config, _suffix(advice)).absolute()
     pace = Pace(console, "fits", "; then they are timed")
-    with doing(folder, sweep, ADVISE, console, scheduler, workers, pace=pace) as (tables, _):
+    with doing(folder, sweep, AdviseRecord, console, scheduler, workers, pace=pace) as (tables, _):
         problems = list(failures(tables.results))
         fitted = [
             _Fitted(i, row, with_fitted(sweep.runs[i].config, _values(row)))
@@ -74,15 +76,15 @@ def run_advise(advice: Advice, *, console: Console, scheduler: str | None = None
             raise ValueError(f"no technique could be fitted, so none can be recommended: {'; '.join(problems)}")
         steps = steps_of([each.config for each in fitted])
         with counting(console, "timing", steps) as progress:
-            times, load = _times(folder, fitted, saying_how_long(console, _COMPILING, len(fitted), progress))
-        if load.remark is not None:
-            problems.append(f"{load.remark}; to time them again, remove {folder / _MEASURED} and repeat the command")
-        candidates = [_candidate(advice, each, time) for each, time in zip(fitted, times, strict=True)]
+            measured = _measured(folder, fitted, saying_how_long(console, _COMPILING, len(fitted), progress))
+        if (busy := busy_remark(measured.load)) is not None:
+            problems.append(f"{busy}; to time them again, remove {folder / _MEASURED} and repeat the command")
+        candidates = [_candidate(advice, each, time) for each, time in zip(fitted, measured.times, strict=True)]
         noise = _noise(fitted)
         chosen = recommended(candidates, advice.settings.within, noise or 0.0)
         best = next(each.config for each in fitted if each.row["id"] == chosen.id)
         with counting(console, "comparing biases", len(fitted)) as progress:
-            least_biases = _least_biases(folder, candidates, chosen, fitted, progress)
+            least_biases = _least_biases(folder, measured, candidates, chosen, fitted, progress)
         large = list(large_biases(best, noise or 0.0))
         over, within = _over(fitted[0].config), advice.settings.within
         found = Findings(candidates, chosen, within, over, noise, least_biases, large)
@@ -90,14 +92,29 @@ def run_advise(advice: Advice, *, console: Console, scheduler: str | None = None
         code = _code(folder, advice, chosen, best)
         named = best.model_copy(update={"name": sweep.name}).named_with("-recommended")
         with io.atomic_path(folder / RECOMMENDED) as temporary:
-            write_yaml(temporary, named)
-        whole = record_of(sweep, ADVISE, counts_of(tables.results))
+            temporary.write_bytes(yaml_of(named))
+        whole = about(sweep, AdviseRecord, counts_of(tables.results))
         if advice.engine is not None:
-            whole |= {"command": shlex.join([*shlex.split(whole["command"]), "--engine", advice.engine])}
-        write_record(folder, whole | {"advice": _record(found, problems) | {"engine": advice.engine, "code": code}})
-        report_advice(folder)
+            whole["command"] = shlex.join([*shlex.split(whole["command"]), "--engine", advice.engine])
+        said = verdict(found)
+        stored = AdviseRecord(
+            **whole,
+            advice=record.Advice(
+                engine=advice.engine,
+                code=code,
+                over=over,
+                noise=noise,
+                within=within,
+                recommended=chosen.id,
+                candidates=_marked(candidates),
+                verdict=said,
+                problems=problems,
+            ),
+        )
+        write_record(folder, stored)
+        report_advice(folder, stored)
     table.print_lines(console, problems, warn=True)
-    _print(console, sweep.name, found)
+    _print(console, sweep.name, found, said)
     table.print_lines(console, [f"the recommended configuration is in {RECOMMENDED}"])
     for key, text in code.items():
         assert advice.engine is not None
@@ -145,28 +162,31 @@ def _values(row: Mapping[str, Any]) -> dict[str, float]:
     return {name: value for name, value in found.items() if value is not None}
 
 
-def _times(folder: Path, fitted: Sequence[_Fitted], progress: Any) -> tuple[list[Times], Load]:
+def _measured(folder: Path, fitted: Sequence[_Fitted], progress: Any) -> Measurements:
     """The times of all techniques, and how busy the machine was, measured now unless they are stored in `folder`."""
     ids = [each.row["id"] for each in fitted]
-    stored = _stored(folder)
-    if stored.get("ids") != ids:
+    try:
+        stored = Measurements.model_validate(read_json(folder / _MEASURED))
+    except (io.FileError, ValidationError):
+        stored = None
+    if stored is None or stored.ids != ids:
         times, load = measure_times([each.config for each in fitted], progress)
-        stored = {
-            "ids": ids,
-            "times": [time._asdict() for time in times],
-            "load": load._asdict(),
-            "least_biases": {},
-        }
+        stored = Measurements(ids=ids, times=times, load=load, least_biases={})
         _store(folder, stored)
-    return [Times(**time) for time in stored["times"]], Load(**stored["load"])
+    return stored
 
 
 def _least_biases(
-    folder: Path, candidates: Sequence[Candidate], chosen: Candidate, fitted: Sequence[_Fitted], progress: Any
+    folder: Path,
+    measured: Measurements,
+    candidates: Sequence[Candidate],
+    chosen: Candidate,
+    fitted: Sequence[_Fitted],
+    progress: Any,
 ) -> dict[str, tuple[str, LeastBias]]:
     """For each other bias with a single fitted number, with the same filter and map: how large it has to be for no more
     acne than `chosen` has. It is searched for now unless it is stored in `folder`."""
-    stored, found = _stored(folder), {}
+    known, found = dict(measured.least_biases), {}
     for done, (each, candidate) in enumerate(zip(fitted, candidates, strict=True)):
         progress(done)
         name = single_bias(candidate.values)
@@ -174,25 +194,16 @@ def _least_biases(
         if not alike or name is None or candidate.bias == chosen.bias:
             continue
         key = f"{candidate.id} {chosen.id}"
-        if key not in stored["least_biases"]:
-            stored["least_biases"][key] = least_bias_for(each.config, name, chosen.false_shadow)._asdict()
-            _store(folder, stored)
-        found[candidate.bias] = candidate.units[name], LeastBias(**stored["least_biases"][key])
+        if key not in known:
+            known[key] = least_bias_for(each.config, name, chosen.false_shadow)
+            _store(folder, measured.model_copy(update={"least_biases": known}))
+        found[candidate.bias] = candidate.units[name], known[key]
     return found
 
 
-def _stored(folder: Path) -> dict[str, Any]:
-    """The measurements stored in `folder`; empty if there are none, or they are damaged."""
-    try:
-        stored = read_json(folder / _MEASURED)
-    except io.FileError:
-        return {}
-    return stored if are_measurements(stored) else {}
-
-
-def _store(folder: Path, measured: Mapping[str, Any]) -> None:
+def _store(folder: Path, measured: Measurements) -> None:
     with io.atomic_path(folder / _MEASURED) as temporary:
-        write_json(temporary, measured)
+        temporary.write_bytes(json_of(measured.model_dump(mode="json")))
 
 
 def _candidate(advice: Advice, each: _Fitted, times: Times) -> Candidate:
@@ -203,14 +214,14 @@ def _candidate(advice: Advice, each: _Fitted, times: Times) -> Candidate:
         id=row["id"],
         bias=technique.bias,
         filter=technique.filter,
-        resolution=technique.resolution,
+        resolution=list(technique.resolution),
         values=values,
         units={name: units[name] for name in values},
         rmse=row[f"{over}.rmse"],
         false_shadow=row[f"{over}.false_shadow_rate"],
         false_light=row[f"{over}.false_light_rate"],
         fit_rmse=row["after.rmse"],
-        **times._asdict(),
+        **times.model_dump(),
     )
 
 
@@ -228,18 +239,10 @@ def _noise(fitted: Sequence[_Fitted]) -> float | None:
     return fitted[0].row["reference_noise_floor"]
 
 
-def _record(found: Findings, problems: Sequence[str]) -> dict[str, Any]:
-    """The section `advice` of `result.json`."""
-    kept = {each.id for each in front(found.candidates)}
-    return {
-        "over": found.over,
-        "noise": found.noise,
-        "within": found.within,
-        "recommended": found.chosen.id,
-        "candidates": [{**each._asdict(), "front": each.id in kept} for each in ranked(found.candidates)],
-        "verdict": verdict(found),
-        "problems": list(problems),
-    }
+def _marked(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """The candidates by error, with those on the front marked."""
+    kept = {each.id for each in front(candidates)}
+    return [each.model_copy(update={"front": each.id in kept}) for each in ranked(candidates)]
 
 
 def _of_times() -> str:
@@ -252,19 +255,18 @@ def _of_times() -> str:
     )
 
 
-def _print(console: Console, name: str, found: Findings) -> None:
+def _print(console: Console, name: str, found: Findings, said: Sequence[str]) -> None:
     """Prints the ranking and the verdict."""
     heads = ("bias", "filter", "map", "RMSE", "acne", "leaks", f"{jax.default_backend().upper()} ms", "× fastest")
     shown = Table(*heads, title=table.words(f"{name}: techniques by RMSE over {found.over}"), title_justify="left")
     for column in shown.columns[2:]:
         column.justify = "right"
-    kept = {each.id for each in front(found.candidates)}
-    for each in ranked(found.candidates):
-        marks = ("*" if each.id in kept else " ") + ("←" if each.id == found.chosen.id else " ")
+    for each in _marked(found.candidates):
+        marks = ("*" if each.front else " ") + ("←" if each.id == found.chosen.id else " ")
         rates = (table.number("_rate", rate) for rate in (each.false_shadow, each.false_light))
         numbers = (each.size, table.number("rmse", each.rmse), *rates, f"{each.ms:.1f}", f"{each.times} {marks}")
         shown.add_row(table.words(each.bias), table.words(each.filter), *numbers)
     console.print(shown)
     legend = "← is recommended; * marks techniques that no other beats in both RMSE and time"
     table.print_lines(console, [legend, _of_times()])
-    table.print_lines(console, verdict(found))
+    table.print_lines(console, said)

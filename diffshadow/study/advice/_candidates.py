@@ -1,58 +1,11 @@
 """Candidates: techniques with their errors and times, and which of them to prefer."""
 
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Sequence
+
+from ..record._sweeps import Candidate
 
 SAME_TIME = 0.05
 """The fraction by which two times may differ and still count as equal: repeated measurements differ so."""
-
-
-class Candidate(NamedTuple):
-    """A fitted technique.
-
-    - `id`: of its run; `bias`, `filter`: the labels of its entries; `resolution`: of its map, in texels.
-    - `values`: the fitted numbers, by the key that sets them; `units`: of these.
-    - `rmse`, `false_shadow`, `false_light`: its errors over the validation, or over what the fit sees if there is none.
-    - `fit_rmse`: over what the fit sees.
-    - `map_ms`, `lookup_ms`: milliseconds to draw the maps of one view and to look them up.
-    - `ratio`: its time, relative to the fastest candidate's; `spread`: how far it may be off, as a fraction of it.
-    """
-
-    id: str
-    bias: str
-    filter: str
-    resolution: tuple[int, int]
-    values: Mapping[str, float]
-    units: Mapping[str, str]
-    rmse: float
-    false_shadow: float
-    false_light: float
-    fit_rmse: float
-    map_ms: float
-    lookup_ms: float
-    ratio: float
-    spread: float = 0.0
-
-    @property
-    def ms(self) -> float:
-        """Milliseconds for one view."""
-        return self.map_ms + self.lookup_ms
-
-    @property
-    def times(self) -> str:
-        """Its time relative to the fastest candidate's, and how far this may be off."""
-        return f"{self.ratio:.2f} ± {self.ratio * self.spread:.2f}"
-
-    @property
-    def size(self) -> str:
-        """The map's resolution in texels, in words."""
-        height, width = self.resolution
-        return f"{height}²" if height == width else f"{height} × {width}"
-
-    @property
-    def name(self) -> str:
-        """Its name in sentences."""
-        return f"{self.bias} with {self.filter} at {self.size}"
 
 
 def same_time(one: Candidate, other: Candidate) -> bool:

@@ -10,8 +10,7 @@ from rich.console import Console
 from ...config import LABEL, Advice, Config, ConfigError, Mistake, Progress, build_technique, load_advice, load_config
 from ...settings.engines import ENGINES, Engine, EngineName
 from ...settings.techniques import SingleMap
-from ..runs._engine import code_of
-from ..runs._engine_fits import EngineFit, Lit, babylon_js, lit_by, three_js
+from ..runs._engine import EngineFit, Lit, babylon_js, code_of, lit_by, three_js
 from ..runs._progress import Stages
 from ..runs._setup import draw, load
 from ._formula_engines import FORMULA_ENGINES, code_of_formula, offered

@@ -14,8 +14,8 @@ from ..._words import counted
 from ...config import Config, build_technique, fit_paths, fit_units
 from .._drawn import Drawn
 from ..pages import _table as table
-from ..runs import _record as record
-from ..runs._engine_fits import bias_of_a_texel, lit_by
+from ..runs._engine import bias_of_a_texel, lit_by
+from ..runs._measure import combined, measured
 from ..runs._progress import Stages
 from ..runs._setup import load, visibility_of
 from ..runs._views import draw_views
@@ -70,7 +70,7 @@ def _explained(config: Config, name: str, value: float, one: float, noise: float
     def at(value: float) -> tuple[list[HostArray], dict[str, float]]:
         changed: Any = fit.with_values(technique, [fit_paths(config)[name]], as_float([value]))  # type: ignore[arg-type]
         images = [visibility_of(changed, each) for each in drawn]
-        return images, record.combined([record.measured(*pair) for pair in zip(images, drawn, strict=True)], drawn)
+        return images, combined([measured(*pair) for pair in zip(images, drawn, strict=True)], drawn)
 
     (as_fitted, fitted), (as_usual, usual) = at(value), at(_USUAL * one)
     unit = fit_units(config)[name]

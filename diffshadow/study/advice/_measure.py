@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
@@ -10,14 +10,15 @@ from rich.console import Console
 
 from ... import fit, raster
 from ..._arithmetic import as_float
-from ...config import Config, build_fit, build_technique, fit_paths
+from ...config import Config, build_technique, fit_paths
+from ..record._sweeps import LeastBias, Load, Times
 from ..remarks._verdict import unexplained_verdict
-from ..runs import _record as record
 from ..runs._explained import fitted_images, unexplained
+from ..runs._measure import combined, measured
 from ..runs._progress import Stages
 from ..runs._setup import load, visibility_of
 from ..runs._views import draw_views
-from ._times import Load, Times, Watch, times_of, unevenness_of
+from ._times import Watch, times_of, unevenness_of
 
 # Rounds in which every technique is timed once, in turns: what slows the machine down slows all of them.
 _ROUNDS = 15
@@ -61,7 +62,7 @@ def measure_times(
             rounds[done, i] = once(techniques[i])
         progress(len(configs) + done + 1)
     times = times_of(rounds, [_program_of(technique) for technique in techniques])
-    return times, Load(watch.others(), unevenness_of(rounds))
+    return times, Load(others=watch.others(), unevenness=unevenness_of(rounds))
 
 
 def steps_of(configs: Sequence[Config]) -> int:
@@ -83,20 +84,8 @@ def unexplained_by(config: Config) -> list[str]:
     found = unexplained(fitted_images(views, drawn, [visibility_of(technique, each) for each in drawn], drawn))
     if found is None:
         return []
-    said = unexplained_verdict(config, build_fit(config), found)
+    said = unexplained_verdict(config, found, starts=config.fit.multistart, moves=config.moves)
     return [said.sentence, *said.remedies]
-
-
-class LeastBias(NamedTuple):
-    """A bias that leaves no more false shadow than asked for.
-
-    - `value`: the least such bias that was found, in its unit. If there is none, the one with the least false shadow.
-    - `false_shadow`, `false_light`: its errors.
-    """
-
-    value: float
-    false_shadow: float
-    false_light: float
 
 
 def least_bias_for(config: Config, name: str, most: float) -> LeastBias:
@@ -121,8 +110,9 @@ def least_bias_for(config: Config, name: str, most: float) -> LeastBias:
 
     def at(value: float) -> LeastBias:
         changed: Any = fit.with_values(technique, [path], as_float([value]))  # type: ignore[arg-type]
-        errors = record.combined([record.measured(visibility_of(changed, each), each) for each in drawn], drawn)
-        return LeastBias(value, errors["false_shadow_rate"], errors["false_light_rate"])
+        errors = combined([measured(visibility_of(changed, each), each) for each in drawn], drawn)
+        dark, light = errors["false_shadow_rate"], errors["false_light_rate"]
+        return LeastBias(value=value, false_shadow=dark, false_light=light)
 
     tried = []
     for value in np.linspace(low, high, _STEPS + 1):

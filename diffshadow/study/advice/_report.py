@@ -1,18 +1,17 @@
 """The page of a recommendation, made of its folder's files."""
 
 from pathlib import Path
-from typing import Any
 
 from ... import io
 from ...config import RECOMMENDED_FILE as RECOMMENDED
 from ...settings.engines import ENGINES
-from ..files._stored import REPORT, read_result
-from ._candidates import Candidate
+from ..record._stored import REPORT
+from ..record._sweeps import AdviseRecord
 
 _FIGURE = "front"
 
 
-def report_advice(folder: Path, form: str | None = None, dpi: int | None = None) -> Path:
+def report_advice(folder: Path, record: AdviseRecord, form: str | None = None, dpi: int | None = None) -> Path:
     """Writes the page of the recommendation in `folder`, and its figure if a format `form` is given.
 
     **Returns** the page. **Raises** `FileError` if the recommendation is incomplete or damaged.
@@ -22,41 +21,34 @@ def report_advice(folder: Path, form: str | None = None, dpi: int | None = None)
     from ..pages._page import lines_of, write_page
     from ._figure import draw_front
 
-    result = read_result(folder)
-    if "advice" not in result or not (folder / RECOMMENDED).is_file():
+    advice = record.advice
+    if advice is None or not (folder / RECOMMENDED).is_file():
         raise io.FileError(
             f"{folder} holds an incomplete recommendation; expected all techniques fitted: run advise again"
         )
-    advice = result["advice"]
-    candidates = [_candidate(each) for each in advice["candidates"]]
-    chosen = next(each for each in candidates if each.id == advice["recommended"])
+    candidates = advice.candidates
+    chosen = next(each for each in candidates if each.id == advice.recommended)
     if form is not None:
         style.save(draw_front(candidates, chosen), folder / f"{_FIGURE}.{form}", dpi or style.DPI)
-    marks = {each["id"]: "front" for each in advice["candidates"] if each["front"]} | {chosen.id: "recommended"}
-    versions = result.get("versions", {})
+    marks = {each.id: "front" for each in candidates if each.front} | {chosen.id: "recommended"}
     write_page(
         folder / REPORT,
         "advice.html.j2",
-        name=result["name"],
-        over=advice["over"],
-        noise=advice["noise"],
+        name=record.name,
+        over=advice.over,
+        noise=advice.noise,
         candidates=candidates,
         marks=marks,
         validated=any(each.rmse != each.fit_rmse for each in candidates),
-        verdict=advice["verdict"],
-        problems=advice["problems"],
+        verdict=advice.verdict,
+        problems=advice.problems,
         figure=style.inline_svg(draw_front(candidates, chosen), _FIGURE),
-        engine=ENGINES.get(advice["engine"]),
-        code={key: lines_of(text) for key, text in advice["code"].items()},
+        engine=None if advice.engine is None else ENGINES[advice.engine],
+        code={key: lines_of(text) for key, text in advice.code.items()},
         recommended=lines_of((folder / RECOMMENDED).read_text(encoding="utf-8", errors="backslashreplace")),
         file=RECOMMENDED,
-        machine=versions.get("processor", "an unknown processor"),
-        environment=[(name, value, "") for name, value in versions.items()],
-        commands=after_advice(folder, result.get("command", "")),
+        machine=record.versions.get("processor", "an unknown processor"),
+        environment=[(name, value, "") for name, value in record.versions.items()],
+        commands=after_advice(folder, record.command),
     )
     return folder / REPORT
-
-
-def _candidate(stored: Any) -> Candidate:
-    values = {name: value for name, value in stored.items() if name in Candidate._fields}
-    return Candidate(**{**values, "resolution": tuple(values["resolution"])})

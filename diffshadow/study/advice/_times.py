@@ -5,13 +5,13 @@ import os
 import time
 from collections.abc import Hashable, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from scipy.stats import binom
 
 from ..._types import HostArray
+from ..record._sweeps import Load, Times
 
 # The probability that the interval about a median misses the true one.
 _MISSED = 0.05
@@ -21,41 +21,15 @@ _OTHERS = 0.15
 _UNEVEN = 0.1
 
 
-class Times(NamedTuple):
-    """Times of a technique for one view with all its lights.
-
-    - `map_ms`, `lookup_ms`: in milliseconds.
-    - `ratio`: its time over the fastest technique's.
-    - `spread`: how far the ratio may be off to either side, as a fraction of it: half of the interval that contains the
-        true median with a probability of 95 %.
-    """
-
-    map_ms: float
-    lookup_ms: float
-    ratio: float
-    spread: float
-
-
-class Load(NamedTuple):
-    """How busy the machine was while techniques were timed.
-
-    - `others`: the part of all processors' time that other processes used; `None` if the system does not tell.
-    - `unevenness`: half of the interquartile range of the times of rounds, as a fraction of their median.
-    """
-
-    others: float | None
-    unevenness: float
-
-    @property
-    def remark(self) -> str | None:
-        """A sentence for a busy machine; `None` for an idle one."""
-        others = self.others or 0.0
-        if others <= _OTHERS and self.unevenness <= _UNEVEN:
-            return None
-        causes = [f"other processes used {others:.0%} of its processors"] if others > _OTHERS else []
-        if self.unevenness > _UNEVEN:
-            causes.append(f"the time of equal work varied by ± {self.unevenness:.0%}")
-        return f"the machine was busy while techniques were timed, so times are rough: {', and '.join(causes)}"
+def busy_remark(load: Load) -> str | None:
+    """A sentence for a machine that was busy; `None` for an idle one."""
+    others = load.others or 0.0
+    if others <= _OTHERS and load.unevenness <= _UNEVEN:
+        return None
+    causes = [f"other processes used {others:.0%} of its processors"] if others > _OTHERS else []
+    if load.unevenness > _UNEVEN:
+        causes.append(f"the time of equal work varied by ± {load.unevenness:.0%}")
+    return f"the machine was busy while techniques were timed, so times are rough: {', and '.join(causes)}"
 
 
 def times_of(rounds: Float[HostArray, "rounds techniques 2"], programs: Sequence[Hashable]) -> list[Times]:
@@ -80,7 +54,7 @@ def times_of(rounds: Float[HostArray, "rounds techniques 2"], programs: Sequence
         own = rounds[:, among]
         part = float(np.median(own[..., 0] / own.sum(axis=2)))
         ms = middle * float(np.median(pace)) * 1e3
-        found[program] = Times(part * ms, (1 - part) * ms, middle / fastest, spread)
+        found[program] = Times(map_ms=part * ms, lookup_ms=(1 - part) * ms, ratio=middle / fastest, spread=spread)
     return [found[program] for program in programs]
 
 

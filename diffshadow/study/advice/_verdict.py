@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import jax
 
-from ._candidates import Candidate, front, ranked, same_time, tolerated
-from ._measure import LeastBias
+from ..record._sweeps import Candidate, LeastBias
+from ._candidates import front, ranked, same_time, tolerated
 
 # The least difference of rates that is called one: 26 pixels of 512 × 512. The reference's noise hardly touches rates,
 # since they count only pixels that all of its rays see alike.

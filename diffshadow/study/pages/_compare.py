@@ -9,10 +9,10 @@ from rich.console import Console
 
 from ... import io
 from ..._checks import text_within
-from ..files._stored import StoredRun, read_run
+from ..record._stored import VisibilityRun, is_fit, read_run
 from . import _table as table
 from ._next import after_comparison
-from ._table import ERRORS, UNEXPLAINED, UNITS, number, print_comparison
+from ._table import ERRORS, UNITS, number, print_comparison
 
 # A run's name and folder do not count as differences.
 _NOT_COMPARED = ("name", "output")
@@ -67,9 +67,9 @@ def _labels(folders: Sequence[Path]) -> list[str]:
     return [name if names.count(name) == 1 else str(folder) for name, folder in zip(names, folders, strict=True)]
 
 
-def _settings(runs: Sequence[StoredRun]) -> list[Line]:
+def _settings(runs: Sequence[VisibilityRun[Any]]) -> list[Line]:
     settings = [{row.key: row for row in run.settings if row.key not in _NOT_COMPARED} for run in runs]
-    kinds = [run.kind for run in runs]
+    kinds = [run.record.kind for run in runs]
     lines = [Line("kind of run", "", kinds)] if len(set(kinds)) > 1 else []
     for key in dict.fromkeys(key for each in settings for key in each):
         cells = [each[key].value if key in each else _NONE for each in settings]
@@ -79,22 +79,23 @@ def _settings(runs: Sequence[StoredRun]) -> list[Line]:
     return lines
 
 
-def _fitted(runs: Sequence[StoredRun]) -> list[Line]:
-    values = [run.result.get("fitted", {}) for run in runs]
-    bounds = {name: bound for run in runs for name, bound in run.result.get("bounds", {}).items()}
-    text = lambda name, value: text_within(value, bounds[name]["lower"], bounds[name]["upper"])
+def _fitted(runs: Sequence[VisibilityRun[Any]]) -> list[Line]:
+    fits = [run.record for run in runs if is_fit(run)]
+    values = [run.record.fitted if is_fit(run) else {} for run in runs]
+    bounds = {name: bound for fit in fits for name, bound in fit.bounds.items()}
+    text = lambda name, value: text_within(value, bounds[name].lower, bounds[name].upper)
     return [
-        Line(name, bounds[name]["unit"], [text(name, each[name]) if name in each else _NONE for each in values])
+        Line(name, bounds[name].unit, [text(name, each[name]) if name in each else _NONE for each in values])
         for name in dict.fromkeys(name for each in values for name in each)
     ]
 
 
-def _errors(runs: Sequence[StoredRun]) -> list[Line]:
+def _errors(runs: Sequence[VisibilityRun[Any]]) -> list[Line]:
     """The errors of the results, with the best runs marked."""
     last = [run.errors[-1][1] for run in runs]
     lines = []
     for name, label in ERRORS.items():
-        values = np.asarray([np.nan if errors.get(name) is None else errors[name] for errors in last], np.float64)
+        values = np.asarray([getattr(errors, name) for errors in last], np.float64)
         cells = [number(name, value) for value in values]
         cost = np.where(np.isnan(values), np.inf, -values if name == "ssim" else values)
         # Values that print the same are equally good.
@@ -103,7 +104,7 @@ def _errors(runs: Sequence[StoredRun]) -> list[Line]:
     return lines
 
 
-def _scene_remarks(runs: Sequence[StoredRun], differing: Sequence[Line]) -> list[str]:
+def _scene_remarks(runs: Sequence[VisibilityRun[Any]], differing: Sequence[Line]) -> list[str]:
     """That the runs are of different scenes or references, if they are; errors do not rank techniques then.
 
     Runs with the same reference images show the same scene. A fit's own parameters, such as a light's pose, are no
@@ -113,7 +114,7 @@ def _scene_remarks(runs: Sequence[StoredRun], differing: Sequence[Line]) -> list
     if all(len(each) == len(images[0]) and all(map(np.array_equal, each, images[0])) for each in images):
         return []
     sizes = list(dict.fromkeys(f"{len(each)} of {each[0].shape[1]} × {each[0].shape[0]}" for each in images))
-    fitted = {name for run in runs for name in run.result.get("fitted", {})}
+    fitted = {name for run in runs if is_fit(run) for name in run.record.fitted}
     keys = [line.name for line in differing if line.name.startswith(_SCENE) and line.name not in fitted]
     if not keys and len(sizes) > 1:
         keys = [f"images: {', '.join(sizes)} pixels"]
@@ -124,15 +125,19 @@ def _scene_remarks(runs: Sequence[StoredRun], differing: Sequence[Line]) -> list
     return [f"the runs are of different scenes or references ({named}); their errors do not rank their techniques"]
 
 
-def _warnings(run: StoredRun) -> list[str]:
+def _warnings(run: VisibilityRun[Any]) -> list[str]:
     """The remarks on a run; first, that a fit does not explain its references."""
-    found = run.result.get("verdict")
-    unexplained = [found["sentence"]] if found and found["kind"] == UNEXPLAINED else []
-    return [*unexplained, *(run.result.get("warnings") or [])]
+    said = run.record.said
+    unexplained = [said.sentence] if said is not None and not run.record.is_explained else []
+    return [*unexplained, *(run.record.warnings or [])]
 
 
 def _write(
-    page: Path, runs: Sequence[StoredRun], labels: Sequence[str], parts: dict[str, list[Line]], remarks: Sequence[str]
+    page: Path,
+    runs: Sequence[VisibilityRun[Any]],
+    labels: Sequence[str],
+    parts: dict[str, list[Line]],
+    remarks: Sequence[str],
 ) -> None:
     # Imported here, since they load Matplotlib.
     from .. import style
@@ -144,7 +149,7 @@ def _write(
     shaded = [
         picture(f"{label}, shaded", run.shaded[-1][1], title=label) for label, run in _named(labels, runs) if run.shaded
     ]
-    fits = [(label, run) for label, run in _named(labels, runs) if run.kind == "fit"]
+    fits = [(label, run) for label, run in _named(labels, runs) if is_fit(run)]
     pictures = [p.name for p in groups[0]["visibility"]]
     write_page(
         page,
@@ -166,11 +171,11 @@ def _write(
     )
 
 
-def _named(labels: Sequence[str], runs: Sequence[StoredRun]) -> Iterator[tuple[str, StoredRun]]:
+def _named(labels: Sequence[str], runs: Sequence[VisibilityRun[Any]]) -> Iterator[tuple[str, VisibilityRun[Any]]]:
     return zip(labels, runs, strict=True)
 
 
-def _groups(runs: Sequence[StoredRun], labels: Sequence[str], limit: float) -> Iterator[dict[str, Any]]:
+def _groups(runs: Sequence[VisibilityRun[Any]], labels: Sequence[str], limit: float) -> Iterator[dict[str, Any]]:
     """The images of each light: the distinct references, and each run's result and its difference."""
     from .. import style
     from ._page import picture
@@ -186,7 +191,7 @@ def _groups(runs: Sequence[StoredRun], labels: Sequence[str], limit: float) -> I
                 visibility.insert(len(references), picture(f"{title}{end}", truth, title=title))
                 references.append(light.reference)
             image = np.where(light.mask, light.images[-1][1], np.nan)
-            note = f"RMSE {number('rmse', light.errors[-1].get('rmse'))}"
+            note = f"RMSE {number('rmse', light.errors[-1].rmse)}"
             visibility.append(picture(f"{label}{end}", image, note, title=label))
             name = f"{label} − reference"
             differences.append(

@@ -1,9 +1,9 @@
 """The figures of a run. This module loads Matplotlib, so import it only to draw figures."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -16,7 +16,8 @@ from ... import shadow
 from ..._checks import text_within
 from ..._types import HostArray, Scalar
 from .. import style
-from ..files._stored import LightImages, StoredRun
+from ..record._runs import Course, FitRecord, PictureRecord, RenderRecord, ShapeRecord
+from ..record._stored import LightImages, StoredRun, VisibilityRun, is_fit
 
 Image = Float[HostArray, "h w"]
 Pixels = Bool[HostArray, "h w"]
@@ -34,7 +35,10 @@ FEW_PARAMETERS = 6
 _NARROW = 0.05
 
 
-def write_figures(run: StoredRun, folder: Path, form: str = "png", dpi: int = style.DPI) -> list[Path]:
+Fit = VisibilityRun[FitRecord]
+
+
+def write_figures(run: StoredRun[Any], folder: Path, form: str = "png", dpi: int = style.DPI) -> list[Path]:
     """Writes all figures of `run` that its arrays suffice for to `folder`, in the format `form`. **Returns** them."""
     written = []
     for name, made in _figures(run):
@@ -43,11 +47,15 @@ def write_figures(run: StoredRun, folder: Path, form: str = "png", dpi: int = st
     return written
 
 
-def _figures(run: StoredRun) -> Iterator[tuple[str, Figure]]:
+def _figures(run: StoredRun[Any]) -> Iterator[tuple[str, Figure]]:
+    if not isinstance(run.record, RenderRecord):
+        yield "loss", loss(run)
+    if not isinstance(run, VisibilityRun):
+        return
     for i, light in enumerate(run.shown):
-        if run.kind == "fit":
+        if is_fit(run):
             # Only the first of several views has a shaded picture.
-            is_shaded = i == 0 or "shown" not in run.result["metrics"]
+            is_shaded = i == 0 or not run.is_of_views
             yield f"comparison{light.end}", comparison(light, run.shaded[-1:] if is_shaded else [])
             continue
         ((_, image),) = light.images
@@ -56,13 +64,12 @@ def _figures(run: StoredRun) -> Iterator[tuple[str, Figure]]:
         yield f"difference{light.end}", difference(light)
     if run.shaded:
         yield "shaded", shaded(run.shaded)
-    if run.kind == "fit":
-        yield "loss", loss(run)
-        yield "parameters", parameters(run.result, run.arrays)
-        if run.result.get("front"):
-            yield "front", front(run.result)
-        if run.result.get("profiles"):
-            yield "profiles", profiles(run.result)
+    if is_fit(run):
+        yield "parameters", parameters(run)
+        if run.record.front:
+            yield "front", front(run)
+        if run.record.profiles:
+            yield "profiles", profiles(run)
 
 
 def comparison(light: LightImages, result: Sequence[tuple[str, HostArray]]) -> Figure:
@@ -83,7 +90,7 @@ def comparison(light: LightImages, result: Sequence[tuple[str, HostArray]]) -> F
     shown = None
     for above, below, (title, image), errors in zip(top[1:], bottom[1:], light.images, light.errors, strict=True):
         _visibility(above, image, light.mask)
-        style.title(above, title, f"RMSE {errors['rmse']:.4f}" if known(errors["rmse"]) else "")
+        style.title(above, title, "" if errors.rmse is None else f"RMSE {errors.rmse:.4f}")
         shown = _difference(below, image, light, limit)
         style.title(below, f"{title} − reference")
     style.colour_bar(figure, shown, bottom[1:], DIFFERENCE_LABEL, extend=extend)
@@ -222,17 +229,22 @@ def write_map(
     style.save(figure, path)
 
 
-def loss(run: StoredRun) -> Figure:
-    """The error over a fit: the solver's loss at each evaluation, and the hard compare's error between phases."""
-    result, arrays = run.result, run.arrays
+def loss(run: StoredRun[Any]) -> Figure:
+    """The error over a fit."""
+    draw = {"fit": _loss, "picture": _picture_loss, "shape": _shape_loss}[run.record.kind]
+    return draw(run)
+
+
+def _loss(run: Fit) -> Figure:
+    """The solver's loss at each evaluation, and the hard compare's error between phases."""
     figure, (axes,) = style.figure(5.2, 3.1)
     style.chart(axes, "evaluations of the loss", error_label([run]))
-    recorded = history(result, arrays)
-    ends = _mark_phases(axes, result, recorded)
+    recorded = history(run)
+    ends = _mark_phases(axes, run.record.solver, recorded)
     for steps in _by_phase(recorded):
-        axes.plot(steps, recorded["error"][steps], color=style.BLUE, linewidth=1.4, marker="o", markersize=2.5)
-    hard = _hard_errors(result)
-    chosen = result["solver"]["chosen_phase"] + 1
+        axes.plot(steps, recorded.error[steps], color=style.BLUE, linewidth=1.4, marker="o", markersize=2.5)
+    hard = _hard_errors(run.record)
+    chosen = run.record.solver.chosen_phase + 1
     marks = {"color": style.VERMILION, "marker": "D", "markersize": 5, "linestyle": "none", "zorder": 3}
     axes.plot([], [], color=style.BLUE, marker="o", markersize=2.5, label="solver's loss")
     axes.plot(ends, hard, markerfacecolor=style.PAPER, label="hard compare", **marks)
@@ -242,15 +254,15 @@ def loss(run: StoredRun) -> Figure:
     return figure
 
 
-def convergence(runs: Sequence[tuple[str, StoredRun]]) -> Figure:
+def convergence(runs: Sequence[tuple[str, Fit]]) -> Figure:
     """The error over several fits: lines for the solver's loss, diamonds for the hard compare between phases."""
     figure, (axes,) = style.figure(6.4, 3.6)
     style.chart(axes, "evaluations of the loss", error_label([run for _, run in runs]))
     for i, (label, run) in enumerate(runs):
-        colour, recorded = style.CYCLE[i % len(style.CYCLE)], history(run.result, run.arrays)
+        colour, recorded = style.CYCLE[i % len(style.CYCLE)], history(run)
         ends = [-0.5, *(steps[-1] + 0.5 for steps in _by_phase(recorded))]
-        axes.plot(recorded["error"], color=colour, linestyle=style.dashes(i), linewidth=1.4, label=style.label(label))
-        hard = _hard_errors(run.result)[: len(ends)]
+        axes.plot(recorded.error, color=colour, linestyle=style.dashes(i), linewidth=1.4, label=style.label(label))
+        hard = _hard_errors(run.record)[: len(ends)]
         axes.plot(ends[: len(hard)], hard, color=colour, marker="D", markersize=4.5, linestyle="none")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     style.log_scale(axes)
@@ -258,105 +270,99 @@ def convergence(runs: Sequence[tuple[str, StoredRun]]) -> Figure:
     return figure
 
 
-def error_label(runs: Sequence[StoredRun]) -> str:
+def error_label(runs: Sequence[Fit]) -> str:
     """The axis of the errors of `history` of these fits."""
-    own = {is_own_loss(run.result) for run in runs}
+    own = {run.record.solver.is_own_loss for run in runs}
     return "loss" if own == {True} else "RMSE [visibility]" if own == {False} else "RMSE [visibility], or loss"
 
 
-def is_own_loss(result: Mapping[str, Any]) -> bool:
-    """Whether the losses of a fit are of a user's own loss."""
-    return result["solver"].get("is_own_loss", False)
+class History(NamedTuple):
+    """The evaluations of a fit for the best of its starts: the `error` is the root of the loss, or a user's loss."""
+
+    phase: HostArray
+    error: HostArray
+    values: HostArray
 
 
-def history(result: Mapping[str, Any], arrays: Mapping[str, HostArray]) -> dict[str, HostArray]:
-    """The evaluations of a fit for the best of its starts: `phase`, `error` and `values`. The error is the root of the
-    loss, or a user's loss itself."""
+def history(run: Fit) -> History:
+    """The evaluations of a fit."""
+    arrays = run.arrays
     # Only the best start is continued to the last phase.
     start = arrays.get("history_start", np.zeros_like(arrays["history_phase"]))
     best = start == start[-1:]
     error = np.maximum(arrays["history_loss"][best], 1e-16)
-    error = error if is_own_loss(result) else np.sqrt(error)
-    return {"phase": arrays["history_phase"][best], "error": error, "values": arrays["history_values"][best]}
+    error = error if run.record.solver.is_own_loss else np.sqrt(error)
+    return History(arrays["history_phase"][best], error, arrays["history_values"][best])
 
 
-def _hard_errors(result: Mapping[str, Any]) -> list[float]:
+def _hard_errors(record: FitRecord) -> list[float]:
     """RMSE under the hard compare, or a user's loss, at the start and after each phase."""
-    losses = [phase["hard_loss"] for phase in result["solver"]["phases"]]
-    known = [np.nan if loss is None else loss for loss in (result["solver"].get("initial_loss"), *losses)]
-    if is_own_loss(result):
-        return known
-    before = result["metrics"]["before"]["rmse"]
-    return [np.nan if before is None else before, *np.sqrt(known[1:]).tolist()]
+    losses = [record.solver.initial_loss, *(phase.hard_loss for phase in record.solver.phases)]
+    known = [np.nan if loss is None else loss for loss in losses]
+    return known if record.solver.is_own_loss else [record.metrics.before.rmse, *np.sqrt(known[1:]).tolist()]
 
 
-def parameters(result: Mapping[str, Any], arrays: Mapping[str, HostArray]) -> Figure:
+def parameters(run: Fit) -> Figure:
     """Every parameter over a fit, with its bounds if they are near, the truth if it is known, and the result."""
-    names, recorded = list(result["fitted"])[:_MAX_PARAMETERS], history(result, arrays)
-    truth = (result.get("poses") or {}).get("truth", {})
+    record, recorded = run.record, history(run)
+    names, truth = list(record.fitted)[:_MAX_PARAMETERS], record.truth
     columns = 1 if len(names) <= FEW_PARAMETERS else 2
     rows = -(-len(names) // columns)
     figure, axes = style.figure(5.2 * columns, max(1.4 * rows + 0.7, 2.2), rows, columns, sharex=True)
     for i, (one, name) in enumerate(zip(axes, names, strict=False)):
-        bounds, values, final = result["bounds"][name], recorded["values"][:, i], result["fitted"][name]
+        bounds, values, final = record.bounds[name], recorded.values[:, i], record.fitted[name]
         is_last = i >= len(names) - columns
-        style.chart(one, "evaluations of the loss" if is_last else "", f"[{bounds['unit']}]")
+        style.chart(one, "evaluations of the loss" if is_last else "", f"[{bounds.unit}]")
         one.tick_params(labelbottom=is_last)
-        ends = _mark_phases(one, result, recorded, widths=i < columns)
+        ends = _mark_phases(one, record.solver, recorded, widths=i < columns)
         for steps in _by_phase(recorded):
             one.plot(steps, values[steps], color=style.BLUE, linewidth=1.4, marker="o", markersize=2.5)
-        one.plot(ends[result["solver"]["chosen_phase"] + 1], final, color=style.VERMILION, marker="D", markersize=5)
+        one.plot(ends[record.solver.chosen_phase + 1], final, color=style.VERMILION, marker="D", markersize=5)
         known_truth = [truth[name]] if name in truth else []
         for value in known_truth:
             one.axhline(value, color=style.GREEN, linewidth=1.4, linestyle=":", zorder=1)
-        _show_bounds(one, [*values.tolist(), final, *known_truth], bounds["lower"], bounds["upper"])
-        value = text_within(final, bounds["lower"], bounds["upper"])
+        _show_bounds(one, [*values.tolist(), final, *known_truth], bounds.lower, bounds.upper)
+        value = text_within(final, bounds.lower, bounds.upper)
         style.heading(one, f"{name} = {value}", above=16 if i < columns else 4)
     for one in axes[len(names) :]:
         one.axis("off")
     return figure
 
 
-def widths(result: Mapping[str, Any]) -> list[float]:
-    """The fractions of the error that the intervals of a fit are for."""
-    first = next(iter(result.get("profiles", {}).values()), {"intervals": ()})
-    return [interval["within"] for interval in first["intervals"]]
-
-
-def profiles(result: Mapping[str, Any]) -> Figure:
+def profiles(run: Fit) -> Figure:
     """The error along each parameter over the best, with its intervals and the result."""
-    found, fractions = list(result["profiles"].items())[:_MAX_PARAMETERS], widths(result)
+    record = run.record
+    found, fractions = list(record.profiles.items())[:_MAX_PARAMETERS], record.widths
     columns = min(len(found), 3)
     rows = -(-len(found) // columns)
     figure, axes = style.figure(3.4 * columns, 2.7 * rows, rows, columns)
     for one, (name, profile) in zip(axes, found, strict=False):
-        best, unit = profile["best"]["error"], result["bounds"][name]["unit"]
-        points = np.asarray([(x, 100 * (y / max(best, 1e-12) - 1)) for x, y in profile["points"] if y is not None])
+        best, unit = profile.best.error, record.bounds[name].unit
+        points = np.asarray([(x, 100 * (y / max(best, 1e-12) - 1)) for x, y in profile.points if y is not None])
         style.chart(one, f"{name} [{unit}]", "error above the best [%]")
-        for interval in reversed(profile["intervals"]):
-            one.axvspan(interval["lower"]["value"], interval["upper"]["value"], color=style.BAND, linewidth=0, zorder=0)
-            one.axhline(100 * interval["within"], color=style.INK, linewidth=0.7, linestyle=":")
+        for interval in reversed(profile.intervals):
+            one.axvspan(interval.lower.value, interval.upper.value, color=style.BAND, linewidth=0, zorder=0)
+            one.axhline(100 * interval.within, color=style.INK, linewidth=0.7, linestyle=":")
         one.plot(*points.T, color=style.BLUE, marker="o", markersize=3, linewidth=1.3)
-        one.axvline(result["fitted"][name], color=style.VERMILION, linewidth=1.2, linestyle="--")
-        one.plot(profile["best"]["value"], 0, color=style.VERMILION, marker="D", markersize=5)
-        wide = profile["intervals"][-1]
-        margin = 0.25 * (wide["upper"]["value"] - wide["lower"]["value"]) + 1e-9
-        one.set_xlim(wide["lower"]["value"] - margin, wide["upper"]["value"] + margin)
+        one.axvline(record.fitted[name], color=style.VERMILION, linewidth=1.2, linestyle="--")
+        one.plot(profile.best.value, 0, color=style.VERMILION, marker="D", markersize=5)
+        wide = profile.intervals[-1]
+        margin = 0.25 * (wide.upper.value - wide.lower.value) + 1e-9
+        one.set_xlim(wide.lower.value - margin, wide.upper.value + margin)
         one.set_ylim(-8 * max(fractions), 160 * max(fractions))
     for one in axes[len(found) :]:
         one.axis("off")
     return figure
 
 
-def front(result: Mapping[str, Any]) -> Figure:
+def front(run: Fit) -> Figure:
     """The front of false shadow against false light."""
     figure, (axes,) = style.figure(4.6, 3.4)
     style.chart(axes, "false shadow, RMS [visibility]", "false light, RMS [visibility]")
-    points = result["front"]
-    along = np.asarray([(point["false_shadow"], point["false_light"]) for point in points])
+    along = np.asarray([(point.false_shadow, point.false_light) for point in run.record.front])
     axes.plot(*along.T, color=style.BLUE, marker="o", markersize=4, linewidth=1.3, label="front")
-    for (x, y), point in zip(along, points, strict=True):
-        if point["is_knee"]:
+    for (x, y), point in zip(along, run.record.front, strict=True):
+        if point.is_knee:
             axes.plot(x, y, color=style.VERMILION, marker="D", markersize=6, linestyle="none", label="knee")
     style.legend(axes)
     return figure
@@ -374,34 +380,61 @@ def _show_bounds(axes: Axes, values: Sequence[float], lower: float, upper: float
     axes.yaxis.set_major_locator(MaxNLocator(4))
 
 
-def _mark_phases(
-    axes: Axes, result: Mapping[str, Any], recorded: Mapping[str, HostArray], *, widths: bool = True
-) -> list[float]:
+def _picture_loss(run: StoredRun[PictureRecord]) -> Figure:
+    """The error of a fit to a picture at each evaluation, one colour a phase."""
+    figure, (axes,) = style.figure(6.4, 3.1)
+    style.chart(axes, "evaluation", "RMSE under the blur")
+    error, phase = np.sqrt(np.maximum(run.arrays["history_loss"], 0)), run.arrays["history_phase"]
+    for number in np.unique(phase):
+        at = np.flatnonzero(phase == number)
+        axes.plot(at, error[at], linewidth=1.4, marker="o", markersize=3, label=f"phase {number + 1}")
+    style.log_scale(axes)
+    style.legend(axes)
+    return figure
+
+
+def _shape_loss(run: StoredRun[ShapeRecord]) -> Figure:
+    """The loss of a fit of a shape at each step, and the judge's at the ends of phases."""
+    figure, (axes,) = style.figure(6.4, 3.1)
+    style.chart(axes, "step", "RMSE [visibility]")
+    error, phase = np.sqrt(np.maximum(run.arrays["history_loss"], 0)), run.arrays["history_phase"]
+    axes.plot(error, color=style.BLUE, linewidth=1.4, label="blurred")
+    phases = run.record.phases
+    ends = [0, *np.cumsum([int((phase == k).sum()) for k in range(len(phases))])]
+    judged = [run.record.metrics.initial_loss, *(each.loss for each in phases)]
+    marks: Any = {"color": style.VERMILION, "marker": "D", "markersize": 5, "linestyle": "none", "zorder": 3}
+    axes.plot(ends[: len(judged)], np.sqrt(judged), label="judge, without a blur", markerfacecolor=style.PAPER, **marks)
+    style.log_scale(axes)
+    style.legend(axes)
+    return figure
+
+
+def _mark_phases(axes: Axes, course: Course, recorded: History, *, widths: bool = True) -> list[float]:
     """Shades every other phase, and writes the width of its compare, or the blur of its images, above it.
 
     **Returns** the x-coordinates of the start of the fit and the end of each phase.
     """
     ends, named = [-0.5], ""
-    count = max(len(recorded["phase"]), 1)
+    count = max(len(recorded.phase), 1)
     axes.set_xlim(-0.5 - 0.02 * count, count - 0.5 + 0.02 * count)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    for number, phase in enumerate(result["solver"]["phases"]):
+    for number, phase in enumerate(course.phases):
         first = ends[-1]
-        ends.append(first + int((recorded["phase"] == number).sum()))
+        ends.append(first + int((recorded.phase == number).sum()))
         if number % 2 == 0:
             axes.axvspan(first, ends[-1], color=style.BAND, linewidth=0, zorder=0)
         if widths and ends[-1] - first > _NARROW * count:
-            kind = "width" if phase["width"] else "blur" if phase.get("blur", 0) else ""
-            label = f"{phase[kind]:.2g}" if kind else "search" if phase.get("searched", 0) else "hard"
+            kind = "width" if phase.width else "blur" if phase.blur else ""
+            label = f"{phase.width or phase.blur:.2g}" if kind else "search" if phase.searched else "hard"
             # What the numbers are is written once.
             style.text(axes, (first + ends[-1]) / 2, label if kind in ("", named) else f"{kind} {label}")
             named = kind or named
     return ends
 
 
-def _by_phase(recorded: Mapping[str, HostArray]) -> list[HostArray]:
+def _by_phase(recorded: History) -> list[HostArray]:
     """The indices of the evaluations of each phase."""
-    return [np.flatnonzero(recorded["phase"] == number) for number in np.unique(recorded["phase"])]
+    return [np.flatnonzero(recorded.phase == number) for number in np.unique(recorded.phase)]
 
 
 def single(image: HostArray, ticks: bool = False) -> tuple[Figure, Axes]:
@@ -409,11 +442,6 @@ def single(image: HostArray, ticks: bool = False) -> tuple[Figure, Axes]:
     height, width = image.shape
     figure, (axes,) = style.figure(5.4, min(max(4.3 * height / width, 1.6), 12.0) + (0.6 if ticks else 0.3))
     return figure, axes
-
-
-def known(value: float | None) -> bool:
-    """Whether an error is a number; it is not if no pixel counts."""
-    return value is not None and bool(np.isfinite(value))
 
 
 def _visibility(axes: Axes, image: Image, mask: Pixels):

@@ -1,12 +1,13 @@
 """What to do after a run: commands that its page ends with."""
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from ...config import CONFIG_FILE, FITTED_FILE, RECOMMENDED_FILE
-from ..files._run_folder import final_folder
+from ..record._folder import final_folder
+from ..record._runs import FitRecord, FolderRecord
 
 # The technique whose bias the command convert reads.
 _CONVERTED = "shadow_map"
@@ -36,18 +37,18 @@ def _again(command: str | None) -> list[Command]:
     return [Command("Run it again.", command)] if command else []
 
 
-def after_run(folder: Path, result: Mapping[str, Any], technique: str | None) -> list[Command]:
+def after_run(folder: Path, record: FolderRecord, technique: str | None = None) -> list[Command]:
     """The commands after a fit or a render.
 
     **Arguments:**
 
-    - `folder`: of the run, with its files; `result`: the content of its `result.json`.
-    - `technique`: its type; none if the run was made in Python and has no configuration.
+    - `folder`: of the run, with its files; `record`: of the run.
+    - `technique`: that was fitted to visibility or rendered; none without a configuration.
     """
-    place, again = final_folder(folder), _again(result.get("command"))
+    place, again = final_folder(folder), _again(record.command)
     if technique is None:
-        return [_figures(place)]
-    is_fit, is_fitted = result["kind"] == "fit", (folder / FITTED_FILE).is_file()
+        return [_figures(place), *again]
+    is_fit, is_fitted = isinstance(record, FitRecord), (folder / FITTED_FILE).is_file()
     commands = []
     if not is_fit:
         commands.append(_command("Fit its bias and its filter.", "fit", place / CONFIG_FILE))
@@ -93,8 +94,3 @@ def after_sweep(folder: Path, kind: str, best: Path | None, command: str) -> lis
         else [_command("Do the run with the least RMSE, with all pictures.", kind, best / CONFIG_FILE)]
     )
     return [*run, _figures(folder), *_again(command)]
-
-
-def after_shape(folder: Path, command: str) -> list[Command]:
-    """The commands after a fit of a shape in `folder`."""
-    return [_figures(final_folder(folder)), *_again(command)]

@@ -2,7 +2,7 @@
 
 import base64
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -36,13 +36,6 @@ class Picture(NamedTuple):
     width: int
     height: int
     slides: bool = True
-
-
-def sentences_of(result: Mapping[str, Any]) -> list[str]:
-    """The verdict on a fit, sentence by sentence; empty for an older run, which has none."""
-    found = result.get("verdict") or {"sentence": ""}
-    texts = [found["sentence"], *found.get("remedies", ())]
-    return [f"{text[:1].upper()}{text[1:]}." for text in texts if text]
 
 
 def picture(

@@ -1,6 +1,6 @@
 """Figures of how a fit moved lights and meshes. This module loads Matplotlib, so import it only to draw figures."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,6 @@ from matplotlib.collections import PolyCollection
 
 from ... import fit
 from ..._types import HostArray
-from ...config import FitPlan
 from ...geometry import AbstractLight, Mesh, Scene, face_colours
 from .. import style
 
@@ -22,25 +21,26 @@ Track = Float[HostArray, "n 3"]
 _MARGIN = 0.06
 
 
-def write_paths(path: Path, plan: FitPlan, scene: Scene, result: fit.FitResult) -> None:
+def write_paths(path: Path, scene: Scene, result: fit.FitResult, truth: Mapping[str, float]) -> None:
     """Draws the scene from above and from the side, with the path of each light and mesh from start to end.
 
-    A light at infinity is drawn on a dome round the scene, in the direction it comes from.
+    A light at infinity is drawn on a dome round the scene, in the direction it comes from. `truth`: as far as it is
+    known, by the names of parameters.
     """
-    listed = lambda values: np.asarray([values[p.name] for p in plan.parameters])
+    listed = lambda values: np.asarray([values[p.name] for p in result.parameters])
     values = np.stack([listed(result.initial), *_steps_of_best(result), listed(result.fitted)])
-    offsets, names = np.asarray([p.offset for p in plan.parameters]), tuple(p.where for p in plan.parameters)
+    offsets, names = np.asarray([p.offset for p in result.parameters]), tuple(p.where for p in result.parameters)
     places = lambda values, key: np.stack(_places(result, names, values - offsets, key, scene))
     tracks = {key: places(values, key) for key in _movers(names, result)}
-    truth = {}
-    if plan.truth:
-        known = listed({**result.fitted, **plan.truth})[None]
-        truth = {key: places(known, key)[0] for key in tracks}
+    marks = {}
+    if truth:
+        known = listed({**result.fitted, **truth})[None]
+        marks = {key: places(known, key)[0] for key in tracks}
     figure, axes = style.figure(9.6, 4.6, 1, 2)
     for each, (across, up), title in zip(axes, ((0, 2), (0, 1)), ("From above", "From the side"), strict=True):
         _scene(each, scene.meshes, across, up)
         for number, (key, track) in enumerate(tracks.items()):
-            _track(each, track, truth.get(key), across, up, style.CYCLE[number % len(style.CYCLE)], key)
+            _track(each, track, marks.get(key), across, up, style.CYCLE[number % len(style.CYCLE)], key)
         if up == 2:
             # Seen from above with +x to the right, +z points down.
             each.invert_yaxis()

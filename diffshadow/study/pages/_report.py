@@ -1,15 +1,27 @@
-"""The report of a fit or a render: one self-contained page."""
+"""The pages of runs, each made of its folder's files.
 
-from collections.abc import Callable, Mapping
+This module loads Matplotlib, so import it only to write pages.
+"""
+
+from collections.abc import Iterator
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+from markupsafe import Markup
 
 from ..._checks import text_within
-from ..files._stored import REPORT, LightImages, StoredRun
-from ._next import after_run
-from ._table import ERRORS, LIGHT_ERRORS, UNEXPLAINED, UNITS, interval_text, knee_text, noise_text, number, within_text
+from ..._words import counted
+from ...shading import to_srgb
+from .. import style
+from ..record import _runs as records
+from ..record._files import add_files
+from ..record._stored import REPORT, LightImages, StoredRun, VisibilityRun
+from . import _figures as figures
+from ._next import Command, after_run
+from ._page import Picture, Scale, data_uri, difference_scale, file_pictures, lines_of, picture, write_page
+from ._table import ERRORS, LIGHT_ERRORS, UNITS, cells, interval_text, knee_text, noise_text, number, within_text
 
 # Figures in the folder that the page draws itself.
 _SHOWN = ("profiles", "front", "comparison", "shaded", "loss", "parameters", "visibility", "reference", "difference")
@@ -23,299 +35,418 @@ _HEADINGS = {
     "texture": "View from the light",
     "debug": "Intermediate results",
 }
+TURNTABLE, PROGRESS = "turntable.webp", "progress.webp"
+_ANIMATIONS = {
+    TURNTABLE: "The fitted shape from all sides. Faces that are seen from behind are blue.",
+    PROGRESS: "The shape as it was fitted.",
+}
 
 
-def write_report(run: StoredRun) -> Path:
-    """Writes the page of `run` to its folder. **Returns** the page."""
-    # Imported here, since they load Matplotlib.
-    from .. import style
-    from . import _figures as figures
-    from ._page import difference_scale, file_pictures, lines_of, write_page
+def write_report(run: StoredRun[Any], form: str | None = None, dpi: int = style.DPI) -> Path:
+    """Writes the page of `run` to its folder, and its figures beside it if a format `form` is given.
 
-    result, is_fit = run.result, run.kind == "fit"
-    limit, extend = figures.difference_limit(run.shown)
-    lights = [_light(light, limit, many=len(run.lights) > 1) for light in run.shown]
-    shaded = _shaded(run)
-    write_page(
-        run.folder / REPORT,
-        "report.html.j2",
-        run=run,
-        summary=_fit_summary(result) if is_fit else [_render_summary(run)],
-        is_explained=not is_fit or (result.get("verdict") or {}).get("kind") != UNEXPLAINED,
-        states=[title for title, _ in run.errors] if is_fit else ["error"],
-        fitted=_fitted(result) if is_fit else [],
-        errors=_errors(run),
-        noise=noise_text(result["metrics"]["reference_noise_floor"]),
-        perceived=run.errors[-1][1].get("flip") is not None,
-        labels=list(LIGHT_ERRORS.values()),
-        validation=_validation(result) if is_fit else [],
-        by_light=_by_light(run),
-        has_views="shown" in result["metrics"],
-        aliasing=_aliasing(run),
-        slides=[p.name for p in (shaded or lights[0]["visibility"])[-2:]],
-        lights=lights,
-        scale=difference_scale(limit, extend == "both"),
-        shaded=shaded,
-        widths=list(map(within_text, figures.widths(result))) if is_fit else [],
-        profiles=style.inline_svg(figures.profiles(result), "profiles") if is_fit and result.get("profiles") else "",
-        front=_front(result) if is_fit else [],
-        knee=knee_text([(point.get("rmse"), point["is_knee"]) for point in result.get("front", ())]),
-        front_chart=style.inline_svg(figures.front(result), "front") if is_fit and result.get("front") else "",
-        curves=_curves(run) if is_fit else [],
-        is_wide=is_fit and len(result["fitted"]) > figures.FEW_PARAMETERS,
-        phases=_phases(result) if is_fit else [],
-        starts=_starts(result) if is_fit else [],
-        code={key: lines_of(text) for key, text in result.get("code", {}).items()} if is_fit else {},
-        commands=after_run(run.folder, result, {row.key: row.value for row in run.settings}.get("technique.type")),
-        files={heading: file_pictures(paths) for heading, paths in _files(run.folder).items()},
-        loss=_loss_heads(result) if is_fit else {},
-        environment=[
-            *((name, value, "") for name, value in result["versions"].items()),
-            *([] if result.get("seed") is None else [("seed", result["seed"], "")]),
-        ],
-        seconds=[(name, f"{value:.2f}", "s") for name, value in result["seconds"].items()],
-    )
+    **Returns** the page.
+    """
+    if form is not None:
+        add_files(run.folder, [path.name for path in figures.write_figures(run, run.folder, form, dpi)])
+    view = _VIEWS[run.record.kind](run)
+    write_page(run.folder / REPORT, view.template, view=view)
     return run.folder / REPORT
 
 
-def _fit_summary(result: Mapping[str, Any]) -> list[str]:
-    """The verdict on the fit, sentence by sentence; of an older run that has none, the errors."""
-    from ._page import sentences_of
+class View[Of: records.FolderRecord]:
+    """What the page of a run shows. Texts are as they stand on the page."""
 
-    if found := sentences_of(result):
-        return found
-    before, after = (result["metrics"][when]["rmse"] for when in ("before", "after"))
-    return [f"The fit changed the shadow's error from {number('rmse', before)} to {number('rmse', after)} RMSE."]
+    template: ClassVar[str]
+
+    def __init__(self, run: StoredRun[Any]):
+        self.run = run
+        self.record: Of = run.record
+
+    @property
+    def summary(self) -> list[str]:
+        """The verdict on the fit, sentence by sentence; of an older run that has none, its errors."""
+        said = self.record.said
+        if said is None:
+            return self.without_verdict
+        return [f"{text[:1].upper()}{text[1:]}." for text in (said.sentence, *said.remedies) if text]
+
+    @property
+    def without_verdict(self) -> list[str]:
+        """What to say instead."""
+        return []
+
+    @property
+    def environment(self) -> list[tuple[str, Any, str]]:
+        """Name and value of what the run depended on besides its settings."""
+        seed = {} if self.record.seed is None else {"seed": self.record.seed}
+        return [(name, value, "") for name, value in {**self.record.versions, **seed}.items()]
+
+    @property
+    def seconds(self) -> list[tuple[str, str, str]]:
+        """How long each stage took."""
+        return [(name, f"{value:.2f}", "s") for name, value in self.record.seconds.items()]
+
+    @property
+    def commands(self) -> list[Command]:
+        """What to do next."""
+        return after_run(self.run.folder, self.record)
+
+    def chart(self, name: str) -> str:
+        """The figure that `figures` draws by this name."""
+        return style.inline_svg(getattr(figures, name)(self.run), name)
 
 
-def _render_summary(run: StoredRun) -> str:
-    (_, errors) = run.errors[-1]
-    settings = {row.key: row.value for row in run.settings}
-    technique = settings["technique.type"]
-    name = f"{technique} with filter {settings['filter.type']}" if technique in _FILTERED else technique
-    # The names of engines are written as they are.
-    name = name if "." in technique else name.replace("_", " ").capitalize()
-    return f"{name}: the shadow's error is {number('rmse', errors['rmse'])} RMSE."
+class FittedNumber(NamedTuple):
+    """A parameter before and after a fit; for poses and pictures also the truth and the standard deviation.
+
+    - `best`, `intervals`: where the error is least, and where it is close to that.
+    """
+
+    name: str
+    initial: str
+    fitted: str
+    deviation: str
+    truth: str
+    unit: str
+    lower: str
+    upper: str
+    best: str = ""
+    intervals: tuple[str, ...] = ()
 
 
-def _fitted(result: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Each parameter before and after the fit; for poses also the truth and the standard deviation."""
-    poses = result.get("poses") or {}
-    truth, deviations = poses.get("truth", {}), (poses.get("precision") or {}).get("deviations", {})
-    rows = []
-    for name, value in result["fitted"].items():
-        bounds = result["bounds"][name]
-        lower, upper = bounds["lower"], bounds["upper"]
-        rows.append(
-            {
-                "name": name,
-                "initial": text_within(result["initial"][name], lower, upper),
-                "fitted": text_within(value, lower, upper, 5 if truth else 4),
-                "deviation": "" if deviations.get(name) is None else f"± {deviations[name]:.1g}",
-                "truth": "" if truth.get(name) is None else text_within(truth[name], lower, upper, 5),
-                "unit": bounds["unit"],
-                **_sureness(result.get("profiles", {}).get(name)),
-                "lower": text_within(lower, lower, upper, 6),
-                "upper": text_within(upper, lower, upper, 6),
-            }
+def _fitted(
+    record: records.FitRecord | records.PictureRecord, digits: tuple[int, int], deviation: str
+) -> Iterator[FittedNumber]:
+    """Each parameter; `digits` of its start and of its result, and the form of its standard deviation."""
+    for name, value in record.fitted.items():
+        bounds, spread = record.bounds[name], record.deviations.get(name)
+        text = lambda value, digits, bounds=bounds: text_within(value, bounds.lower, bounds.upper, digits)
+        yield FittedNumber(
+            name,
+            text(record.initial[name], digits[0]),
+            text(value, digits[1]),
+            "" if spread is None else f"± {spread:{deviation}}",
+            text(record.truth[name], 5) if name in record.truth else "",
+            bounds.unit,
+            text(bounds.lower, 6),
+            text(bounds.upper, 6),
+            *_sureness(record.profiles.get(name) if isinstance(record, records.FitRecord) else None),
         )
-    return rows
 
 
-def _front(result: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """The settings of the front of false shadow against false light."""
-    return [
-        {
-            "errors": [number("rmse", point.get(name)) for name in ("false_shadow", "false_light", "rmse")],
-            "numbers": [f"{value:.4g}" for value in point["values"].values()],
-            "is_knee": point["is_knee"],
-        }
-        for point in result.get("front", ())
-    ]
-
-
-def _sureness(profile: Mapping[str, Any] | None) -> dict[str, Any]:
+def _sureness(profile: records.Profile | None) -> tuple[str, tuple[str, ...]]:
     """Where a parameter's error is least, and where it is close to that."""
     if profile is None:
-        return {"best": "", "intervals": []}
-    ends = [
-        [(each[end]["value"], each[end]["is_bound"]) for end in ("lower", "upper")] for each in profile["intervals"]
-    ]
-    return {"best": f"{profile['best']['value']:.4g}", "intervals": [interval_text(*both) for both in ends]}
+        return "", ()
+    return f"{profile.best.value:.4g}", tuple(interval_text(each.lower, each.upper) for each in profile.intervals)
 
 
-def _errors(run: StoredRun) -> list[dict[str, Any]]:
-    """Each error of every state, and of the reference itself."""
-    own = {"rmse": run.result["metrics"]["reference_noise_floor"]}
-    return [
-        {
-            "label": label,
-            "numbers": [number(name, errors.get(name)) for _, errors in run.errors],
-            "reference": number(name, own.get(name)),
-            "unit": UNITS[name],
+class ErrorRow(NamedTuple):
+    """An error of every state, and of the reference itself."""
+
+    label: str
+    numbers: list[str]
+    reference: str
+    unit: str
+
+
+class LightRow(NamedTuple):
+    """The errors of a light or view: the RMSE before a fit, and all errors of the result."""
+
+    key: str
+    before: str
+    numbers: list[str]
+    unseen: bool
+    rmse: float
+
+
+class LightPictures(NamedTuple):
+    """The pictures of a light or view."""
+
+    key: str
+    visibility: list[Picture]
+    differences: list[Picture]
+
+
+class VisibilityView[Of: records.VisibilityRecord](View[Of]):
+    """Of a fit to images of visibility, or a render."""
+
+    template = "report.html.j2"
+    run: VisibilityRun[Any]
+    labels: ClassVar = list(LIGHT_ERRORS.values())
+
+    def __init__(self, run: StoredRun[Any]):
+        super().__init__(run)
+        self.limit, self.extend = figures.difference_limit(self.run.shown)
+
+    @property
+    def settings(self) -> dict[str, str]:
+        """The values of all settings."""
+        return {row.key: row.value for row in self.run.settings}
+
+    @property
+    def commands(self) -> list[Command]:
+        return after_run(self.run.folder, self.record, self.settings.get("technique.type"))
+
+    @property
+    def errors(self) -> list[ErrorRow]:
+        """Each error of every state."""
+        own = {"rmse": self.record.metrics.reference_noise_floor}
+        columns = zip(*(cells(errors) for _, errors in self.run.errors), strict=True)
+        rows = zip(ERRORS.items(), columns, strict=True)
+        return [ErrorRow(label, [*row], number(name, own.get(name)), UNITS[name]) for (name, label), row in rows]
+
+    @property
+    def noise(self) -> str:
+        """The reference's own error, in words."""
+        return noise_text(self.record.metrics.reference_noise_floor)
+
+    @cached_property
+    def by_light(self) -> list[LightRow]:
+        """The errors of each light or view; of views, the worst first."""
+        rows = []
+        for each, light in zip(self.run.lights, self.record.metrics.lights, strict=True):
+            first, last = each.errors[0], each.errors[-1]
+            unseen = isinstance(light, records.FittedLight) and bool(light.validation)
+            numbers = cells(last, LIGHT_ERRORS)
+            rows.append(LightRow(each.key, number("rmse", first.rmse), numbers, unseen, last.rmse or 0.0))
+        return sorted(rows, key=lambda row: -row.rmse) if self.run.is_of_views else rows
+
+    @cached_property
+    def lights(self) -> list[LightPictures]:
+        """The pictures of each light or view that has some."""
+        return [self._light(light) for light in self.run.shown]
+
+    def _light(self, light: LightImages) -> LightPictures:
+        # Names are unique on the page.
+        end = f", {light.key}" if len(self.run.lights) > 1 else ""
+        counted = lambda image: np.where(light.mask, image, np.nan)
+        visibility = [picture(f"Reference{end}", counted(light.reference), title="Reference")]
+        differences = []
+        for (title, image), errors in zip(light.images, light.errors, strict=True):
+            note = f"RMSE {number('rmse', errors.rmse)}"
+            visibility.append(picture(f"{title}{end}", counted(image), note, title=title))
+            name, off = f"{title} − reference", counted(image - light.reference)
+            how: Any = {"title": name, "colours": style.DIFFERENCE, "limit": self.limit}
+            differences.append(picture(f"{name}{end}", off, **how))
+        return LightPictures(light.key, visibility, differences)
+
+    @property
+    def scale(self) -> Scale:
+        """Of differences."""
+        return difference_scale(self.limit, self.extend == "both")
+
+    @cached_property
+    def shaded(self) -> list[Picture]:
+        """The shaded pictures, the result last."""
+        return [picture(f"{title}, shaded", image, title=title) for title, image in self.run.shaded]
+
+    @property
+    def slides(self) -> list[str]:
+        """The pictures that the slider begins with."""
+        return [p.name for p in (self.shaded or self.lights[0].visibility)[-2:]]
+
+    @property
+    def files(self) -> dict[str, list[Picture]]:
+        """The folder's other pictures, by heading. If a picture exists as SVG and PNG, the SVG is used."""
+        found: dict[str, list[Path]] = {}
+        for suffix in (".svg", ".png", ".webp"):
+            for path in sorted(self.run.folder.glob(f"*{suffix}"), key=lambda path: (len(path.stem), path.stem)):
+                is_twice = suffix == ".png" and path.with_suffix(".svg").exists()
+                if path.is_file() and not path.stem.startswith(_SHOWN) and not is_twice:
+                    starts = (text for start, text in _HEADINGS.items() if path.stem.startswith(start))
+                    found.setdefault(next(starts, "Other pictures"), []).append(path)
+        return {heading: file_pictures(paths) for heading, paths in found.items()}
+
+
+class RenderView(VisibilityView[records.RenderRecord]):
+    """Of a render."""
+
+    @property
+    def summary(self) -> list[str]:
+        technique, kernel = self.settings["technique.type"], self.settings["filter.type"]
+        name = f"{technique} with filter {kernel}" if technique in _FILTERED else technique
+        # The names of engines are written as they are.
+        name = name if "." in technique else name.replace("_", " ").capitalize()
+        return [f"{name}: the shadow's error is {self.record.metrics.errors.rmse:.4f} RMSE."]
+
+    @property
+    def aliasing(self) -> list[tuple[str, str, list[str]]]:
+        """Figures of how large texels are on the screen, for each light that has any: its key, their name and texts."""
+        rows = []
+        for light in self.record.metrics.lights:
+            if light.aliasing is not None:
+                parts = {"longest extent": light.aliasing.extent, "due to perspective": light.aliasing.perspective}
+                for name, each in parts.items():
+                    extents = (each.worst, each.percentile_99, 2**each.mean_log2)
+                    rows.append((light.light, name, [*(f"{x:.3g}" for x in extents), f"{each.undersampled:.1%}"]))
+        return rows
+
+
+class FitView(VisibilityView[records.FitRecord]):
+    """Of a fit to images of visibility."""
+
+    few_parameters: ClassVar = figures.FEW_PARAMETERS
+
+    @property
+    def without_verdict(self) -> list[str]:
+        before, after = self.record.metrics.before.rmse, self.record.metrics.after.rmse
+        return [f"The fit changed the shadow's error from {before:.4f} to {after:.4f} RMSE."]
+
+    @cached_property
+    def fitted(self) -> list[FittedNumber]:
+        """Each parameter."""
+        return list(_fitted(self.record, (4, 5 if self.record.truth else 4), ".1g"))
+
+    @property
+    def validation(self) -> list[ErrorRow]:
+        """Each error before and after the fit over the views that it has not seen."""
+        found = self.record.metrics.validation
+        if found is None:
+            return []
+        rows = zip(ERRORS.items(), cells(found.before), cells(found.after), strict=True)
+        return [ErrorRow(label, [before, after], "", UNITS[name]) for (name, label), before, after in rows]
+
+    @property
+    def widths(self) -> list[str]:
+        """The heads of the columns of intervals."""
+        return list(map(within_text, self.record.widths))
+
+    @property
+    def front(self) -> Iterator[tuple[list[str], bool]]:
+        """The settings of the front of false shadow against false light: errors and values, and whether it is the
+        knee."""
+        for point in self.record.front:
+            errors = (number("rmse", error) for error in (point.false_shadow, point.false_light, point.rmse))
+            yield [*errors, *(f"{value:.4g}" for value in point.values.values())], point.is_knee
+
+    @property
+    def knee(self) -> list[str]:
+        """What the knee of the front costs, in words."""
+        return knee_text(self.record.front)
+
+    @property
+    def loss(self) -> str:
+        """What tables call the losses of the fit."""
+        return "loss" if self.record.solver.is_own_loss else "RMSE"
+
+    def error(self, loss: float | None) -> str:
+        """The root of a mean square error, or a user's loss."""
+        if loss is not None and self.record.solver.is_own_loss:
+            return f"{loss:.4g}"
+        return number("rmse", None if loss is None else loss**0.5)
+
+    def numbers(self, values: dict[str, float]) -> list[str]:
+        """Texts of values of the parameters, by name."""
+        bounds = self.record.bounds
+        return [text_within(value, bounds[name].lower, bounds[name].upper) for name, value in values.items()]
+
+    @property
+    def starts(self) -> list[tuple[str, list[str]]]:
+        """The final error and the initial values of each of several starts, best first."""
+        starts = sorted(self.record.starts, key=lambda start: np.inf if start.loss is None else start.loss)
+        return [(self.error(start.loss), self.numbers(start.initial)) for start in starts]
+
+    @property
+    def code(self) -> dict[str, Markup]:
+        """The code for an engine, by the light's key."""
+        return {key: lines_of(text) for key, text in self.record.code.items()}
+
+
+class PictureView(View[records.PictureRecord]):
+    """Of a fit to a picture."""
+
+    template = "picture.html.j2"
+    titles: ClassVar = {"reference": "Reference", "before": "Before", "after": "After"}
+    slides: ClassVar = ["Reference", "After"]
+
+    @property
+    def summary(self) -> list[str]:
+        colours = "sRGB" if self.record.encoding == "srgb" else "linear"
+        over = f"Errors are of {colours} colours, over {counted(self.record.metrics.pixels, 'pixel')}."
+        return [*super().summary, over]
+
+    @property
+    def without_verdict(self) -> list[str]:
+        before, after = self.record.metrics.before.rmse, self.record.metrics.after.rmse
+        steps = counted(self.record.steps, "step")
+        return [f"The picture's error went from {before:.4f} to {after:.4f} RMSE, in {steps}."]
+
+    @cached_property
+    def pictures(self) -> list[Picture]:
+        """The reference, and the picture before and after the fit."""
+        shown = []
+        for state, title in self.titles.items():
+            image = np.clip(self.run.arrays[state], 0, 1)
+            seen = image if self.record.encoding == "srgb" else to_srgb(image)
+            errors = getattr(self.record.metrics, state, None)
+            shown.append(picture(title, seen, f"RMSE {errors.rmse:.4f}" if errors else ""))
+        return shown
+
+    @property
+    def differences(self) -> Iterator[Picture]:
+        """The mean differences of the channels, where they count."""
+        arrays = self.run.arrays
+        for state in ("before", "after"):
+            difference = np.where(arrays["mask"], (arrays[state] - arrays["reference"]).mean(axis=-1), 0)
+            name = f"{self.titles[state]} − reference"
+            shown = picture(name, difference, "from −0.25 to 0.25", colours=style.DIFFERENCE, limit=0.25)
+            yield shown._replace(slides=False)
+
+    @property
+    def fitted(self) -> list[FittedNumber]:
+        """Each parameter."""
+        return list(_fitted(self.record, (5, 5), ".2g"))
+
+    @property
+    def errors(self) -> list[tuple[str, str, str]]:
+        """Each error before and after the fit."""
+        before, after = self.record.metrics.before, self.record.metrics.after
+        pairs = {
+            "RMSE": (before.rmse, after.rmse),
+            "MAE": (before.mae, after.mae),
+            "FLIP": (before.flip, after.flip),
         }
-        for name, label in ERRORS.items()
-    ]
+        return [
+            (label, number("", one), number("", other)) for label, (one, other) in pairs.items() if other is not None
+        ]
+
+    @property
+    def camera(self) -> list[tuple[str, str, str]]:
+        """The fitted camera's numbers."""
+        return [(key, ", ".join(f"{x:.5g}" for x in value), "") for key, value in self.record.camera.items()]
 
 
-def _aliasing(run: StoredRun) -> list[dict[str, Any]]:
-    """Figures of how large texels are on the screen, for each light that has any."""
-    measured = [(light["light"], light.get("aliasing")) for light in run.result["metrics"]["lights"]]
-    return [
-        {
-            "key": key,
-            "name": {"extent": "longest extent", "perspective": "due to perspective"}[part],
-            "numbers": [
-                f"{extents['worst']:.3g}",
-                f"{extents['percentile_99']:.3g}",
-                f"{2 ** extents['mean_log2']:.3g}",
-                f"{extents['undersampled']:.1%}",
-            ],
-        }
-        for key, parts in measured
-        for part, extents in (parts or {}).items()
-    ]
+class ShapeView(View[records.ShapeRecord]):
+    """Of a fit of a shape."""
+
+    template = "shape.html.j2"
+
+    @property
+    def animations(self) -> list[tuple[Markup, str]]:
+        """The animations in the folder, and their captions."""
+        files = {self.run.folder / name: text for name, text in _ANIMATIONS.items()}
+        return [(Markup(data_uri(f.read_bytes(), f.suffix)), text) for f, text in files.items() if f.is_file()]
+
+    @property
+    def lights(self) -> Iterator[tuple[records.Overlap, list[Picture]]]:
+        """Each light, and the pictures of its shadow."""
+        for i, light in enumerate(self.record.metrics.lights):
+            notes = {"Target": "", "Before": f"IoU {light.before:.4f}", "After": f"IoU {light.map:.4f}"}
+            images = [np.clip(self.run.arrays[name][i], 0, 1) for name in ("reference", "before", "after")]
+            yield (
+                light,
+                [
+                    picture(f"{title}, {light.light}", image, note, title=title)
+                    for (title, note), image in zip(notes.items(), images, strict=True)
+                ],
+            )
 
 
-def _validation(result: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Each error before and after the fit over the views that it has not seen."""
-    measured = result["metrics"].get("validation")
-    if measured is None:
-        return []
-    return [
-        {
-            "label": label,
-            "numbers": [number(name, measured[state].get(name)) for state in ("before", "after")],
-            "unit": UNITS[name],
-        }
-        for name, label in ERRORS.items()
-    ]
-
-
-def _by_light(run: StoredRun) -> list[dict[str, Any]]:
-    """The errors of each light or view; for views before and after the fit, the worst first."""
-    unseen = [light.get("validation", False) for light in run.result["metrics"]["lights"]]
-    rows = [
-        {
-            "key": each.key,
-            "before": number("rmse", each.errors[0].get("rmse")),
-            "numbers": [number(e, each.errors[-1].get(e)) for e in LIGHT_ERRORS],
-            "unseen": unseen[i],
-            "order": -(each.errors[-1].get("rmse") or 0),
-        }
-        for i, each in enumerate(run.lights)
-    ]
-    return sorted(rows, key=lambda row: row["order"]) if "shown" in run.result["metrics"] else rows
-
-
-def _light(light: LightImages, limit: float, *, many: bool) -> dict[str, Any]:
-    """The pictures of one light or view, with names that are unique on the page."""
-    from .. import style
-    from ._page import picture
-
-    end = f", {light.key}" if many else ""
-    counted = lambda image: np.where(light.mask, image, np.nan)
-    visibility = [picture(f"Reference{end}", counted(light.reference), title="Reference")]
-    differences = []
-    for (title, image), errors in zip(light.images, light.errors, strict=True):
-        note = f"RMSE {number('rmse', errors.get('rmse'))}"
-        visibility.append(picture(f"{title}{end}", counted(image), note, title=title))
-        name, off = f"{title} − reference", counted(image - light.reference)
-        differences.append(picture(f"{name}{end}", off, title=name, colours=style.DIFFERENCE, limit=limit))
-    return {"key": light.key, "visibility": visibility, "differences": differences}
-
-
-def _shaded(run: StoredRun) -> list[Any]:
-    from ._page import picture
-
-    return [picture(f"{title}, shaded", image, title=title) for title, image in run.shaded]
-
-
-def _curves(run: StoredRun) -> list[tuple[str, str]]:
-    """The curves of a fit as SVG, each with its caption."""
-    from .. import style
-    from . import _figures as figures
-
-    return [
-        (
-            style.inline_svg(figures.loss(run), "loss"),
-            "The error over the fit. The label of each phase is the width of its soft compare in texels, the blur of "
-            "its images in pixels, hard, or search. The result is chosen by the hard compare.",
-        ),
-        (
-            style.inline_svg(figures.parameters(run.result, run.arrays), "parameters"),
-            "The parameters over the fit. Dashed lines are bounds, if they are near; dotted lines are the truth, if it "
-            "is known. Diamonds mark the result.",
-        ),
-    ]
-
-
-def _phases(result: Mapping[str, Any]) -> list[dict[str, Any]]:
-    numbers = _numbers_of(result)
-    return [
-        {
-            "compare": _compare(phase),
-            "blur": f"{phase.get('blur', 0):.3g}",
-            "steps": phase["steps"],
-            "error": _error(result, phase["hard_loss"]),
-            "gradient": "–" if phase["gradient_norm"] is None else f"{phase['gradient_norm']:.2g}",
-            "numbers": numbers(phase["values"]),
-            "ended": phase["result"],
-            "chosen": i == result["solver"]["chosen_phase"],
-        }
-        for i, phase in enumerate(result["solver"]["phases"])
-    ]
-
-
-def _error(result: Mapping[str, Any], loss: float | None) -> str:
-    """The root of a mean square error, or a user's loss."""
-    from . import _figures as figures
-
-    if loss is not None and figures.is_own_loss(result):
-        return f"{loss:.4g}"
-    return number("rmse", None if loss is None else loss**0.5)
-
-
-def _loss_heads(result: Mapping[str, Any]) -> dict[str, str]:
-    """What tables call the errors of phases and of starts."""
-    from . import _figures as figures
-
-    name = "loss" if figures.is_own_loss(result) else "RMSE"
-    return {"phases": f"hard {name}", "starts": f"{name} after the first phases, blurred"}
-
-
-def _numbers_of(result: Mapping[str, Any]) -> Callable[[Mapping[str, float]], list[str]]:
-    """Texts of values of the parameters, by name."""
-    ends = {name: (bounds["lower"], bounds["upper"]) for name, bounds in result["bounds"].items()}
-    return lambda values: [text_within(value, *ends[name]) for name, value in values.items()]
-
-
-def _compare(phase: Mapping[str, Any]) -> str:
-    if phase.get("searched", 0):
-        return "hard, by search"
-    return "hard" if not phase["width"] else f"{phase['width']:.3g}"
-
-
-def _starts(result: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """The initial values and the final error of each of several starts, best first."""
-    starts, numbers = (result.get("poses") or {}).get("starts") or [], _numbers_of(result)
-    return [
-        {"error": _error(result, start["loss"]), "numbers": numbers(start["initial"])}
-        for start in sorted(starts, key=lambda start: start["loss"])
-    ]
-
-
-def _files(folder: Path) -> dict[str, list[Path]]:
-    """The folder's other pictures, by heading. If a picture exists as SVG and PNG, the SVG is used."""
-    found: dict[str, list[Path]] = {}
-    for suffix in (".svg", ".png", ".webp"):
-        for path in sorted(folder.glob(f"*{suffix}"), key=lambda path: (len(path.stem), path.stem)):
-            if (
-                not path.is_file()
-                or path.stem.startswith(_SHOWN)
-                or (suffix == ".png" and path.with_suffix(".svg").exists())
-            ):
-                continue
-            heading = next((text for start, text in _HEADINGS.items() if path.stem.startswith(start)), "Other pictures")
-            found.setdefault(heading, []).append(path)
-    return found
+_VIEWS: dict[str, type[View[Any]]] = {
+    "fit": FitView,
+    "render": RenderView,
+    "picture": PictureView,
+    "shape": ShapeView,
+}

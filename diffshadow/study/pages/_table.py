@@ -1,18 +1,15 @@
-"""The tables that a run prints at its end. They are readable without colour."""
+"""Numbers and sentences in tables, and tables that are printed. They are readable without colour."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from ..._checks import text_within
-from ..._words import counted
 from ...config import printable
-from ...fit import FrontPoint, Parameter, Profile
 from ...shadow import EngineSetting
+from ..record._runs import End, Errors, FrontPoint, LightErrors
 
 LIGHT_ERRORS = {
     "rmse": "RMSE",
@@ -38,8 +35,6 @@ UNITS = {
 
 # Errors below this, in visibility, are rounding.
 _MIN_ERROR = 1e-5
-UNEXPLAINED = "unexplained"
-"""The kind of the verdict on a fit that does not explain its references."""
 
 
 def number(name: str, value: float | None) -> str:
@@ -47,6 +42,11 @@ def number(name: str, value: float | None) -> str:
     if value is None or math.isnan(value):
         return "–"
     return f"{value:.3%}" if name.endswith("_rate") else f"{value:.4f}"
+
+
+def cells(errors: Errors | LightErrors, names: Iterable[str] = ERRORS) -> list[str]:
+    """Errors as texts."""
+    return [number(name, getattr(errors, name)) for name in names]
 
 
 def words(text: str) -> Text:
@@ -61,56 +61,10 @@ def noise_text(noise_floor: float | None) -> str:
     return f"the reference's own noise is {noise_floor:.4f} RMSE"
 
 
-def print_fit(
-    console: Console,
-    name: str,
-    parameters: Sequence[Parameter],
-    fitted: Mapping[str, float],
-    before: Mapping[str, float | None],
-    after: Mapping[str, float | None],
-) -> None:
-    """Prints the parameters and the errors under the hard compare, before and after the fit."""
-    table = Table("", "before", "after", "unit", title=words(name), title_justify="left")
-    for column in table.columns[1:3]:
-        column.justify = "right"
-    for p in parameters:
-        cells = (text_within(value, p.lower, p.upper) for value in (p.initial, fitted[p.name]))
-        table.add_row(words(p.name), *cells, p.unit)
-    table.add_section()
-    _add_errors(table, before, after)
-    console.print(table)
-
-
-def print_profiles(console: Console, profiles: Sequence[Profile], fitted: Mapping[str, float]) -> None:
-    """Prints where each parameter may lie for errors close to the best, with the others fitted again."""
-    heads = [within_text(each.within) for each in profiles[0].intervals]
-    table = Table("error along each", "fitted", "least error", *heads, title_justify="left")
-    for profile in profiles:
-        ranges = [
-            interval_text(*((end.value, end.is_bound) for end in (each.lower, each.upper)))
-            for each in profile.intervals
-        ]
-        table.add_row(words(profile.name), f"{fitted[profile.name]:.4g}", f"{profile.best[0]:.4g}", *ranges)
-    console.print(table)
-
-
-def print_front(console: Console, names: Sequence[str], front: Sequence[FrontPoint]) -> None:
-    """Prints the front of false shadow against false light, and what its knee costs."""
-    table = Table("false shadow", "false light", "RMSE", *map(escape, names), "", title_justify="left")
-    for point in front:
-        errors = (f"{error:.4f}" for error in (point.false_shadow, point.false_light, point.rmse))
-        table.add_row(*errors, *(f"{value:.4g}" for value in point.values), "knee" if point.is_knee else "")
-    console.print(table)
-    print_lines(console, knee_text([(point.rmse, point.is_knee) for point in front]))
-
-
-def knee_text(front: Sequence[tuple[float | None, bool]]) -> list[str]:
-    """What the knee of a front costs in RMSE, in a sentence; none without a knee, or for a front without RMSEs.
-
-    **Arguments:** `front`: the RMSE of each point, and whether it is the knee.
-    """
-    errors = [rmse for rmse, _ in front if rmse is not None]
-    at_knee = [rmse for rmse, is_knee in front if is_knee and rmse is not None]
+def knee_text(front: Sequence[FrontPoint]) -> list[str]:
+    """What the knee of a front costs in RMSE, in a sentence; none without a knee, or for a front without RMSEs."""
+    errors = [point.rmse for point in front if point.rmse is not None]
+    at_knee = [point.rmse for point in front if point.is_knee and point.rmse is not None]
     if not at_knee:
         return []
     (knee,), least = at_knee, min(errors)
@@ -124,45 +78,9 @@ def within_text(within: float) -> str:
     return f"within {100 * within:.3g} %"
 
 
-def interval_text(*ends: tuple[float, bool]) -> str:
+def interval_text(*ends: End) -> str:
     """From where to where; an end is marked if it is a parameter's bound."""
-    return " to ".join(f"{value:.3g}{' (bound)' if is_bound else ''}" for value, is_bound in ends)
-
-
-def print_validation(
-    console: Console, views: int, before: Mapping[str, float | None], after: Mapping[str, float | None]
-) -> None:
-    """Prints the errors before and after a fit over views that it has not seen."""
-    table = Table(
-        "",
-        "before",
-        "after",
-        "unit",
-        title=f"{counted(views, 'view')} for validation",
-        title_justify="left",
-    )
-    for column in table.columns[1:3]:
-        column.justify = "right"
-    _add_errors(table, before, after)
-    console.print(table)
-
-
-def _add_errors(table: Table, before: Mapping[str, float | None], after: Mapping[str, float | None]) -> None:
-    for key, label in ERRORS.items():
-        table.add_row(label, number(key, before.get(key)), number(key, after.get(key)), UNITS[key])
-
-
-def print_errors(
-    console: Console, name: str, errors: Mapping[str, float | None], lights: Mapping[str, Mapping[str, float]]
-) -> None:
-    """Prints the errors of each of several lights' images, by the light's key, and those over all lights."""
-    columns = {"error": errors} if len(lights) == 1 else {**lights, "all lights": errors}
-    table = Table("", title=words(name), title_justify="left")
-    for head in columns:
-        table.add_column(words(head), justify="right")
-    for key, label in ERRORS.items():
-        table.add_row(label, *(number(key, column.get(key)) for column in columns.values()))
-    console.print(table)
+    return " to ".join(f"{end.value:.3g}{' (bound)' if end.is_bound else ''}" for end in ends)
 
 
 def print_comparison(console: Console, labels: Sequence[str], parts: Sequence[Sequence[Sequence[str]]]) -> None:

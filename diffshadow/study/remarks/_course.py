@@ -1,5 +1,7 @@
 """How a fit went: whether its solver converged, and what its result owes to the solver."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ...fit import FitResult, Outcome, PictureProblem
@@ -22,10 +24,9 @@ def what_is_fitted(result: FitResult) -> str:
     return "picture" if any(isinstance(problem, PictureProblem) for problem in result.problems) else "image"
 
 
-def late_fall(result: FitResult, phase: int) -> tuple[float, int] | None:
-    """The relative decrease of a phase's loss in the last quarter of its steps, and the number of these steps; none for
-    fewer than two steps."""
-    losses = _losses(result, phase)
+def late_fall(losses: Sequence[float]) -> tuple[float, int] | None:
+    """The relative decrease of the loss of a phase in the last quarter of its steps, and the number of these steps;
+    none for fewer than two steps."""
     if len(losses) < 2:
         return None
     late = max(len(losses) // 4, 1)
@@ -39,10 +40,10 @@ def is_nearly_done(result: FitResult, phase: int) -> bool:
     outcome = result.phases[phase]
     if outcome.result != CUT_SHORT:
         return outcome.result == "successful"
-    fall = late_fall(result, phase)
+    fall = late_fall(losses_of(result, phase))
     # Losses of poses change a little at every step.
     least = _NEARLY_DONE if result.arrangement is None else STILL_FALLING
-    return fall is not None and fall[0] <= least and len(_losses(result, phase)) >= _FEW
+    return fall is not None and fall[0] <= least and len(losses_of(result, phase)) >= _FEW
 
 
 def last_phase(result: FitResult) -> tuple[Outcome, int] | None:
@@ -56,7 +57,7 @@ def last_phase(result: FitResult) -> tuple[Outcome, int] | None:
 def was_cut_short(result: FitResult) -> bool:
     """Whether `max_steps` ended the last phase before its loss settled, as far as the steps are known."""
     found = last_phase(result)
-    if found is None or not _losses(result, found[1]):
+    if found is None or not losses_of(result, found[1]):
         return False
     return found[0].result == CUT_SHORT and not is_nearly_done(result, found[1])
 
@@ -72,6 +73,7 @@ def is_by_profiles(result: FitResult) -> bool:
     return bool(np.abs(moved).max() <= _NO_MOVE)
 
 
-def _losses(result: FitResult, phase: int) -> list[float]:
+def losses_of(result: FitResult, phase: int) -> list[float]:
+    """The loss at each step of a phase."""
     # Only the best of several starts continues to the end.
     return [s.loss for s in result.history if s.phase == phase and s.start == result.history[-1].start]

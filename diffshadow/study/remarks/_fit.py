@@ -1,12 +1,13 @@
 """Remarks on a fit: what a reader should know besides its numbers."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 from ..._checks import text_within
 from ..._words import counted, plural
-from ...config import Config, FitPlan, is_limit
-from ...fit import FitResult, Outcome, Parameter
-from ..pages._table import UNEXPLAINED
+from ...config import Config, is_limit
+from ...fit import FitResult, FittedShape, Outcome
+from ...settings.scene import SpotLight
+from ..record._runs import BEST_ALREADY, UNEXPLAINED
 from ._course import (
     CUT_SHORT,
     STILL_FALLING,
@@ -14,17 +15,17 @@ from ._course import (
     is_nearly_done,
     last_phase,
     late_fall,
+    losses_of,
     was_cut_short,
     what_is_fitted,
 )
-from ._pose import pose_remarks
-from ._verdict import BEST_ALREADY, Kind
 
 # An interval longer than this part of the distance between the bounds says that a value hardly matters.
 _FLAT = 0.5
+_IN_PICTURES = "since no pixel of the picture changes with it near its start: try another initial value"
 
 
-def remarks(config: Config | None, plan: FitPlan, result: FitResult, kind: Kind = "fitted") -> list[str]:
+def remarks(config: Config | None, result: FitResult, kind: str = "fitted") -> list[str]:
     """A sentence for each reason not to rely on the fit.
 
     **Arguments:**
@@ -41,20 +42,20 @@ def remarks(config: Config | None, plan: FitPlan, result: FitResult, kind: Kind 
         sentences = list(pose_remarks(config, result, is_known=is_known))
     if kind == UNEXPLAINED:
         return sentences
-    sentences += [*_undecided(plan.parameters, result), *_few_points(plan, result)]
+    sentences += [*_undecided(result), *_few_points(config, result)]
     if kind == BEST_ALREADY:
         return sentences
     # A preferred value lies on purpose where it does.
     preferred = bool(result.best) and result.fitted != result.best
-    on_bounds = [] if preferred else _on_bounds(config, plan.parameters, result)
+    on_bounds = [] if preferred else _on_bounds(config, result)
     more = "raise max_steps of the fit.Solver" if config is None else "raise fit.solver.max_steps"
     within = "fit.Sureness(within=...)" if config is None else "fit.intervals"
     return [*sentences, *on_bounds, *_by_profiles(result, within, more), *_unconverged(result, more)]
 
 
-def _undecided(parameters: Sequence[Parameter], result: FitResult) -> Iterator[str]:
+def _undecided(result: FitResult) -> Iterator[str]:
     """A sentence for each parameter that hardly matters."""
-    for parameter, profile in zip(parameters, result.profiles, strict=False):
+    for parameter, profile in zip(result.parameters, result.profiles, strict=False):
         span = parameter.upper - parameter.lower
         flat = [each for each in profile.intervals if each.upper.value - each.lower.value > _FLAT * span]
         if flat:
@@ -65,13 +66,14 @@ def _undecided(parameters: Sequence[Parameter], result: FitResult) -> Iterator[s
             )
 
 
-def _few_points(plan: FitPlan, result: FitResult) -> Iterator[str]:
+def _few_points(config: Config | None, result: FitResult) -> Iterator[str]:
     """A sentence for a front of fewer points than asked for."""
-    count = len(result.front)
-    if count < plan.front:
+    count, asked = len(result.front), result.sureness.front
+    if count < asked:
         yield (
-            f"fit.front is {plan.front}, and the front has {counted(count, 'point')}: no other settings "
-            "were found whose errors differ from theirs and whose weighted sum is the least for some weights"
+            f"{'Sureness' if config is None else 'fit'}.front is {asked}, and the front has {counted(count, 'point')}: "
+            "no other settings were found whose errors differ from theirs and whose weighted sum is the least for some "
+            "weights"
         )
 
 
@@ -84,7 +86,7 @@ def _unconverged(result: FitResult, more: str) -> Iterator[str]:
     last, number = found
     is_done = is_nearly_done(result, number)
     if not is_done:
-        fall = late_fall(result, number)
+        fall = late_fall(losses_of(result, number))
         still = f", while its error fell {_by(*fall)}" if fall and fall[0] > 0 and last.result == CUT_SHORT else ""
         mend = f": {more}" if last.result == CUT_SHORT else ""
         which = "the phase that gave the result" if result.chosen >= 0 else "its last phase, and no phase ended better"
@@ -93,7 +95,7 @@ def _unconverged(result: FitResult, more: str) -> Iterator[str]:
     for earlier, phase in enumerate(result.phases[: max(result.chosen, 0)]):
         if phase.result != CUT_SHORT:
             continue
-        fall = late_fall(result, earlier)
+        fall = late_fall(losses_of(result, earlier))
         before = f"an earlier phase ({_named(phase)}), where the result's phase began, ended at max_steps"
         # If a later phase has converged, an earlier one that was nearly done does not matter.
         if fall is not None and fall[0] > STILL_FALLING:
@@ -132,10 +134,10 @@ def _flat(config: Config | None, name: str) -> str:
     return f"{remark}; no pixel changes with it near its start: try another initial value, or a larger fit.anneal.start"
 
 
-def _on_bounds(config: Config | None, parameters: Sequence[Parameter], result: FitResult) -> Iterator[str]:
+def _on_bounds(config: Config | None, result: FitResult) -> Iterator[str]:
     """A sentence for each value on a bound beyond which the error may fall further. Of a picture, also for one at the
     limit of its key, which nothing can be beyond."""
-    named = {parameter.name: parameter for parameter in parameters}
+    named = {parameter.name: parameter for parameter in result.parameters}
     for name, side, bound, falls in result.at_bounds:
         if not falls or name in result.flat:
             continue
@@ -150,3 +152,65 @@ def _on_bounds(config: Config | None, parameters: Sequence[Parameter], result: F
                 "something that is not fitted differs from the picture; fit more of the scene as well, such as lights, "
                 "colours or reference.exposure"
             )
+
+
+def pose_remarks(config: Config | None, result: FitResult, *, is_known: bool = True) -> Iterator[str]:
+    """A sentence for each parameter that the image, or the picture, does not determine, with the cause.
+
+    **Arguments:**
+
+    - `is_known`: whether the fit converged and explains the image. If not, nothing is said of how well it determines
+        the values.
+    """
+    what = what_is_fitted(result)
+    for name in result.flat:
+        # A picture also shows what has no shadow.
+        cause = _IN_PICTURES if what == "picture" else _cause_of_pose(config, name)
+        yield f"{name} was not fitted: its gradient is zero throughout, {cause}"
+    for group in () if result.precision is None or not is_known else result.precision.undetermined:
+        if len(group) == 1:
+            yield f"the {what} hardly determines {group[0]}: other values of it fit as well"
+        else:
+            listed = f"{', '.join(group[:-1])} and {group[-1]}"
+            yield f"the {what} hardly determines {listed}: they can change together and fit as well"
+    if result.enlargements:
+        yield f"memory for silhouettes was enlarged {result.enlargements} times during the fit; each time recompiles"
+
+
+def _cause_of_pose(config: Config | None, name: str) -> str:
+    if config is None:
+        return "since no pixel changes with it: try another initial value, a filter with bilinear taps, or silhouettes"
+    section, *_, key = name.split(".")
+    if section != "scene":
+        if config.filter.looks_up_nearest:
+            return "since nearest look-ups have no gradient: choose a filter with bilinear ones"
+        return "since no pixel changes with it: try another initial value"
+    if key in ("azimuth", "elevation") and not _is_obeyed(config, name):
+        return "since the cone of a spot light without inner_angle is ignored: set inner_angle, or do not fit this"
+    if "meshes" in name:
+        mesh = config.scene.meshes[int(name.split(".")[2])]
+        if not mesh.casts:
+            return "since its mesh does not cast: set casts: true"
+    if not config.has_silhouettes:
+        return "since outlines have no gradient without silhouettes: remove shadow_map.silhouettes"
+    if config.filter.looks_up_nearest:
+        return "since nearest look-ups have no gradient at outlines: choose a filter with bilinear ones"
+    if "meshes" in name:
+        return "since no pixel sees its shadow: it is outside the light's frustum, or its shadow is outside the image"
+    return "since no pixel sees a shadow's outline: the light's frustum contains nothing that the camera sees"
+
+
+def _is_obeyed(config: Config, name: str) -> bool:
+    lights = {"scene." + ".".join(map(str, key)): light for key, light in config.scene.each_light.items()}
+    light = lights[name.rpartition(".")[0]]
+    return not isinstance(light, SpotLight) or light.inner_angle is not None
+
+
+def shape_remarks(result: FittedShape) -> Iterator[str]:
+    """A sentence if the error still fell at the end of the phase that gave the result."""
+    found = late_fall([loss for phase, loss in result.history if phase == result.chosen])
+    if found is not None and found[0] > STILL_FALLING:
+        yield (
+            f"the error still fell when phase {result.chosen + 1} ended, which gave the result, {_by(*found)}: raise "
+            f"its steps, fit.shape.phases.{result.chosen}.steps"
+        )

@@ -1,18 +1,15 @@
 """What a fit comes to, in words: the first thing that its console, its report and its `result.json` say."""
 
 from collections.abc import Iterator, Sequence
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from ..._words import counted
-from ...config import Config, FitPlan
-from ...fit import FitResult
-from ..pages._table import UNEXPLAINED
+from ...config import Config
+from ...fit import FitResult, FittedShape
+from ..record._runs import BEST_ALREADY, UNEXPLAINED, ShapeMetrics, Verdict
 from ._course import was_cut_short, what_is_fitted
-
-BEST_ALREADY = "best already"
-Kind = Literal["unexplained", "best already", "cut short", "nothing fitted", "fitted"]
 
 # If this many parameters precede the last one, a sentence counts them instead of naming them.
 _MANY = 3
@@ -59,30 +56,8 @@ class Unexplained(NamedTuple):
     change: Change | None = None
 
 
-class Verdict(NamedTuple):
-    """What a fit comes to.
-
-    - `kind`: `"unexplained"` if it does not explain its references, `"best already"` if the start is as good as the
-        result, `"cut short"` if the solver had too few steps to tell, `"nothing fitted"` if no parameter has a slope,
-        and otherwise `"fitted"`.
-    - `sentence`: that in words, without a full stop.
-    - `remedies`: what to try, a sentence each.
-    - `constant_rmse`: the least RMSE of constant images, if the references are not explained.
-    """
-
-    kind: Kind
-    sentence: str
-    remedies: list[str] = []  # noqa: RUF012
-    constant_rmse: float | None = None
-
-
 def verdict(
-    config: Config | None,
-    plan: FitPlan,
-    result: FitResult,
-    before: float,
-    after: float,
-    found: Unexplained | None,
+    config: Config | None, result: FitResult, before: float, after: float, found: Unexplained | None
 ) -> Verdict:
     """The verdict of a fit.
 
@@ -93,43 +68,50 @@ def verdict(
     - `found`: what the fit leaves unexplained.
     """
     if found is not None:
-        return unexplained_verdict(config, plan, found)
+        return unexplained_verdict(config, found, starts=result.search.starts, moves=result.arrangement is not None)
     names = _listed(list(result.fitted))
     if set(result.flat) == set(result.fitted):
-        return Verdict("nothing fitted", f"nothing was fitted: the error does not change with {names} near the start")
-    if _was_best(plan, result) and was_cut_short(result):
-        return Verdict("cut short", _cut_short(result, before, after))
-    if _was_best(plan, result):
-        return Verdict(BEST_ALREADY, _best_already(plan, result, before, after))
+        return Verdict(
+            kind="nothing fitted", sentence=f"nothing was fitted: the error does not change with {names} near the start"
+        )
+    if _was_best(result) and was_cut_short(result):
+        return Verdict(kind="cut short", sentence=_cut_short(result, before, after))
+    if _was_best(result):
+        return Verdict(kind=BEST_ALREADY, sentence=_best_already(config, result, before, after))
     if after >= before:
         # Of another loss, or by preference.
         return Verdict(
-            "fitted",
-            f"fitting {names} changed the RMSE from {before:.4f} to {after:.4f} in {counted(result.steps, 'step')}; "
-            f"the fit's own loss fell from {result.errors[0] ** 2:.3g} to {result.errors[1] ** 2:.3g}",
+            kind="fitted",
+            sentence=f"fitting {names} changed the RMSE from {before:.4f} to {after:.4f} in "
+            f"{counted(result.steps, 'step')}; the fit's own loss fell from {result.errors[0] ** 2:.3g} to "
+            f"{result.errors[1] ** 2:.3g}",
         )
     whose = "picture's" if what_is_fitted(result) == "picture" else "shadow's"
     factor = before / max(after, 1e-12)
     by = f"a factor of {factor:.1f}" if factor >= _MUCH_BETTER else f"{100 * (1 - 1 / factor):.1f} %"
     return Verdict(
-        "fitted",
-        f"fitting {names} reduced the {whose} error from {before:.4f} to {after:.4f} RMSE, by {by}, in "
+        kind="fitted",
+        sentence=f"fitting {names} reduced the {whose} error from {before:.4f} to {after:.4f} RMSE, by {by}, in "
         f"{counted(result.steps, 'step')}",
     )
 
 
-def unexplained_verdict(config: Config | None, plan: FitPlan, found: Unexplained) -> Verdict:
-    """The verdict of a fit that does not explain its references."""
-    return Verdict(UNEXPLAINED, _unexplained(found), list(_remedies(config, plan, found)), found.constant)
+def unexplained_verdict(config: Config | None, found: Unexplained, *, starts: int, moves: bool) -> Verdict:
+    """The verdict of a fit that does not explain its references.
+
+    **Arguments:** `starts`: of the fit; `moves`: whether it moved lights, meshes or the camera.
+    """
+    remedies = list(_remedies(config, found, starts, moves=moves))
+    return Verdict(kind=UNEXPLAINED, sentence=_unexplained(found), remedies=remedies, constant_rmse=found.constant)
 
 
-def _was_best(plan: FitPlan, result: FitResult) -> bool:
+def _was_best(result: FitResult) -> bool:
     """Whether the error at the start is the best within the tolerance."""
     # With several starts, the best start may differ from the configured one.
-    starts = [p.initial for p in plan.parameters]
+    starts = [p.initial for p in result.parameters]
     is_own = np.allclose(starts, list(result.initial.values()), rtol=1e-5, atol=0)
     before, best = result.errors
-    return is_own and before <= (1 + plan.tolerance) * best
+    return is_own and before <= (1 + result.sureness.tolerance) * best
 
 
 def _cut_short(result: FitResult, before: float, after: float) -> str:
@@ -138,12 +120,16 @@ def _cut_short(result: FitResult, before: float, after: float) -> str:
     return f"the fit ended before it converged: its RMSE {error} in {steps}, and more steps may find better values"
 
 
-def _best_already(plan: FitPlan, result: FitResult, before: float, after: float) -> str:
+def _best_already(config: Config | None, result: FitResult, before: float, after: float) -> str:
     best = "your settings are already the best"
     if result.fitted == result.initial:
         return f"{best}: no values that the fit tried have a smaller error than their RMSE of {before:.4f}"
-    by = "the values that fit.prefer chose" if plan.prefer else "the fitted values"
-    return f"{best} within {100 * plan.tolerance:.3g} %: their RMSE is {before:.4f}, and {by} have {after:.4f}"
+    by = "the fitted values"
+    if result.sureness.prefer:
+        by = f"the values that {'Sureness.prefer' if config is None else 'fit.prefer'} chose"
+    return (
+        f"{best} within {100 * result.sureness.tolerance:.3g} %: their RMSE is {before:.4f}, and {by} have {after:.4f}"
+    )
 
 
 def _unexplained(found: Unexplained) -> str:
@@ -157,22 +143,22 @@ def _unexplained(found: Unexplained) -> str:
     return f"{says}: rays in the fitted scene differ from {which} by {found.by_rays:.4f} RMSE"
 
 
-def _remedies(config: Config | None, plan: FitPlan, found: Unexplained) -> Iterator[str]:
+def _remedies(config: Config | None, found: Unexplained, starts: int, *, moves: bool) -> Iterator[str]:
     if len(found.keys) > 1:
         yield f"this concerns {_listed(found.keys, 'views')}"
     if found.change is not None and (steps := list(_mended(found, found.change))):
         yield from steps
         return
-    starts = _STARTS if plan.starts == 1 else min(4 * plan.starts, _MAX_STARTS)
+    starts = _STARTS if starts == 1 else min(4 * starts, _MAX_STARTS)
     more = f"search=fit.Search(starts={starts})" if config is None else f"fit.multistart={starts}"
-    if plan.arrangement is not None:
+    if moves:
         yield f"try more starts, {more}, or other initial values: the fit may have ended in a local minimum"
     if found.keys and found.given:
         what = "check that it was made with this camera, this light and these meshes"
         yield f"the reference does not fit if it is flipped or inverted either: {what}"
         if config is not None and not _fits_lights(config) and (pose := _pose_of_light(config)):
             yield f"if the light is unknown, fit it as well: add {pose} to fit.parameters, with {more}"
-    if not found.keys and plan.arrangement is None:
+    if not found.keys and not moves:
         larger = "a shadow map of more texels" if config is None else "a larger shadow_map.resolution"
         yield f"try more starts, {more}, other initial values, or {larger}"
 
@@ -217,3 +203,33 @@ def _listed(names: Sequence[str], what: str = "parameters") -> str:
     if len(most) >= _MANY:
         return f"{len(names)} {what}"
     return f"{', '.join(most)} and {last}" if most else last
+
+
+def shape_verdict(result: FittedShape, measured: ShapeMetrics) -> Verdict:
+    """The verdict of a fit of a shape.
+
+    **Arguments:** `measured`: how close it is.
+    """
+    overlap = f"{np.mean([light.rays for light in measured.lights]):.1%}"
+    if result.chosen < 0:
+        kind = BEST_ALREADY
+        text = (
+            f"no phase ended better than the start, which is the result: its shadows overlap their targets to {overlap}"
+        )
+    else:
+        kind, before = "fitted", np.mean([light.before for light in measured.lights])
+        steps = counted(len(result.history), "step")
+        text = f"the shadows overlap their targets to {overlap} by rays, from {before:.1%}, in {steps}"
+    if measured.unseen:
+        unseen = np.mean([light.rays for light in measured.unseen])
+        text += f", and to {unseen:.1%} under lights that the fit has not seen"
+    if measured.chamfer is not None and measured.size is not None:
+        text += f"; the shape is {measured.chamfer / measured.size:.2%} of its size from the truth on average"
+    pairs, remedies = measured.self_intersections, []
+    if pairs:
+        text += f"; the surface intersects itself in {counted(pairs, 'pair')} of faces"
+        remedies = [
+            "raise normal_consistency of the phases of fit.shape, to 0.001 for example, for a surface that crosses "
+            "itself less"
+        ]
+    return Verdict(kind=kind, sentence=text, remedies=remedies)

@@ -10,17 +10,16 @@ from ... import fit, io, shadow
 from ...config import Config, build_technique
 from ...settings.engines import Engine
 from ...settings.techniques import Mapped
-from ..files._run_folder import folder_of
 from ..pages import _table as table
+from ..record._folder import folder_of
 from ..remarks._layout import layout_remarks
 from ..remarks._scene import scene_remarks
+from ._measure import shade_lit
 from ._picture import picture_plan
 from ._progress import Stages
 from ._render import SUFFIX
-from ._setup import SeenScene, check_comparable, load, see
-from ._shade import shade_lit
+from ._setup import SeenScene, check_comparable, load, plan_fit, see
 from ._shape import shape_problem
-from ._solve import plan_fit
 
 PREVIEW = "-preview.png"
 """What follows the configuration's name in the name of a preview."""

@@ -32,13 +32,13 @@ from ...shadow import (
     radius_settings,
 )
 from ..pages import _table as table
-from . import _record as record
-from ._engine_fits import FACES, SIDES, Lit, babylon_js, lit_by, three_js
+from ._engine import FACES, SIDES, Lit, babylon_js, lit_by, three_js
 from ._fit import fit_technique
-from ._fitted import FittedRun
+from ._measure import combined, measured
 from ._progress import Stages
 from ._setup import load, visibility_of
 from ._views import draw_views
+from ._visibility import FittedRun
 
 # The radius of a uniform disk with the same standard deviation, which is half its radius along each axis, as a multiple
 # of the filter's own radius: of corners (±r, ±r), a disk, a box and a tent. Other filters have no such radius.
@@ -256,7 +256,7 @@ def _errors_of(config: Config, technique: AbstractTechnique, stages: Stages) -> 
     """The errors of `config` over the views of its fit."""
     views = draw_views(config, load(config, stages), technique, stages)
     drawn = views.drawn[: views.seen]
-    return record.combined([record.measured(visibility_of(technique, each), each) for each in drawn], drawn)
+    return combined([measured(visibility_of(technique, each), each) for each in drawn], drawn)
 
 
 def _fits(config: Config, lit: list[Lit]) -> dict[str, list[str]]:

@@ -17,8 +17,8 @@ from .. import style
 from .._drawn import Drawn
 from ..pages import _figures as figures
 from ..pages._colours import colours_of, tinted
+from ._measure import shade_lit
 from ._setup import visibility_of
-from ._shade import shade
 
 # Number of neighbouring pixels whose patterns are shown separately.
 _FEW = 3
@@ -30,7 +30,7 @@ _MAX_COLOURS = 12
 
 def write_debug(folder: Path, end: str, config: Config, technique: shadow.AbstractTechnique, drawn: Drawn) -> None:
     """Writes all images that apply to `technique` for one light; their names end in `end`."""
-    image = shade(config, [drawn], [visibility_of(technique, drawn)])
+    image = shade_lit(config, drawn.surface, [drawn.scene], [visibility_of(technique, drawn)])
     _write_silhouettes(folder / f"debug_silhouettes{end}.png", image, drawn)
     if isinstance(technique, shadow.ShadowVolumes):
         _write_counts(folder / f"debug_volumes{end}.png", technique, drawn)

@@ -1,37 +1,165 @@
-"""What fits say in an engine's own units."""
+"""The shadows of engines: fits of those of three.js and Babylon.js, with parameters and bounds that suit a scene, and
+what fits say in an engine's own units."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float32
 
+from ... import shadow
 from ..._types import HostArray, VectorMap
-from ...config import Config, DirectionalLightConfig
-from ...geometry import WORLD, AbstractLight, DirectionalLight, PointLight
+from ...config import Config, ConfigError, DirectionalLightConfig, Mistake
+from ...geometry import WORLD, AbstractLight, DirectionalLight, PointLight, Scene
+from ...raster import Surface, draw_surface
 from ...settings import scene
-from ...shadow import BabylonJs, EngineLight, FittableTechnique, ThreeJs, engine_code
+from ...settings.engines import BabylonFilter, BabylonJs, Side, ThreeJs
 from .._drawn import Drawn
+from ._progress import Stages
+from ._setup import load
 
-CODE = "engine.js"
-"""The file in a run's folder that holds the code."""
+# Bounds and start of an engine's bias in texels, and of its normal bias and radius.
+_MAX_BIAS, _MAX_OFFSET, MAX_RADIUS = 32.0, 4.0, 16.0
+_START = 2.0
+SIDES: dict[str, Side] = {"none": "double", "back": "front", "front": "back"}
+"""The faces that cast, by `shadow_map.cull`."""
+FACES: dict[str, str] = {"double": "both sides of faces cast", "front": "front faces cast", "back": "back faces cast"}
+"""The same in words."""
 
 
-def code_of(technique: FittableTechnique, config: Config, drawn: Sequence[Drawn]) -> dict[str, str]:
+class Lit(NamedTuple):
+    """One light's key, and what a receiver in the middle of its receivers is: a texel's width in world units and in
+    window depth, and the distance along the light's axis."""
+
+    key: tuple[str | int, ...]
+    scene: Scene
+    texel: float
+    depth_per_texel: float
+    distance: float
+
+    @property
+    def is_point(self) -> bool:
+        """Whether its map has six faces."""
+        return isinstance(self.scene.light, PointLight)
+
+
+def lit_by(config: Config, stages: Stages) -> list[Lit]:
+    """Each light of `config` and the median over its receivers.
+
+    **Raises** `ConfigError` if one lights nothing that the camera sees, or no engine has it.
+    """
+    whole = load(config, stages).scene
+    # The light's own map: neither bias nor filter changes the size of its texels.
+    plain = shadow.ShadowMapping(shadow.Nearest(), shadow.Bias(), map=shadow.MapSettings(config.shadow_map.resolution))
+    with stages.stage("drawing"):
+        surface = draw_surface(whole.mesh, whole.camera)
+        return [_lit(config, plain, whole, surface, i) for i in range(len(whole.lights))]
+
+
+def _lit(config: Config, plain: shadow.ShadowMapping, scene: Scene, surface: Surface, index: int) -> Lit:
+    key, one = ("scene", *list(config.scene.each_light)[index]), scene.lit_by(index)
+    try:
+        shadow_map = plain.prepare(one)
+        counted = np.asarray(plain.covered(shadow_map, surface))
+        if not counted.any():
+            raise ValueError("lights no surface that the camera sees; expected some: move one of them")
+        at = shadow.receiver(shadow_map, surface)
+        median = lambda values: float(np.median(np.asarray(values)[counted]))
+        found = Lit(
+            key, one, median(at.texel_size), median(at.depth_per_texel), median(along(one.light, surface.position))
+        )
+        shadow.engine_settings(one.light, plain.map.resolution, 0.0, 0.0, found.distance)
+    except ValueError as error:
+        raise ConfigError([Mistake(config.origin.place(key), ".".join(map(str, key)), str(error))]) from error
+    return found
+
+
+class EngineFit(NamedTuple):
+    """An engine's shadows, as a fit begins with them.
+
+    - `technique`: its section; `parameters`: the bounds of what can be fitted, by the names of its keys.
+    """
+
+    technique: Mapping[str, Any]
+    parameters: Mapping[str, Mapping[str, float]]
+
+
+def bias_of_a_texel(engine: Any, lit: Sequence[Lit]) -> float:
+    """The bias of three.js or Babylon.js that is a texel towards the light, of the light for which it is largest."""
+    if isinstance(engine, ThreeJs):
+        return -max(each.depth_per_texel for each in lit)
+    if any(each.is_point for each in lit):
+        views = [each.scene.light.view() for each in lit]
+        return max(each.texel / float(view.near + view.far) for each, view in zip(lit, views, strict=True))
+    # Depth from -1 to 1.
+    return 2 * max(each.depth_per_texel for each in lit)
+
+
+def three_js(config: Config, lit: Sequence[Lit]) -> EngineFit:
+    """Of three.js, with its filter `PCFShadowMap`. Faces cast as in `config`."""
+    given, one = config.technique, bias_of_a_texel(ThreeJs(), lit)
+    sides = (
+        {"side": given.side, "shadow_side": given.shadow_side}
+        if isinstance(given, ThreeJs)
+        else {"shadow_side": SIDES[config.shadow_map.cull]}
+    )
+    radius = min(getattr(given if isinstance(given, ThreeJs) else config.filter, "radius", 1.0), MAX_RADIUS)
+    return EngineFit(
+        {"type": "three.js", "shadow_type": "PCFShadowMap", **sides},
+        {
+            "bias": _bounds(max(_START * one, -1), max(_MAX_BIAS * one, -1), 0),
+            "normal_bias": _bounds(0, 0, _MAX_OFFSET * max(each.texel for each in lit)),
+            "radius": _bounds(radius, 0, MAX_RADIUS),
+        },
+    )
+
+
+def babylon_js(config: Config, lit: Sequence[Lit], kind: BabylonFilter | None = None) -> EngineFit:
+    """Of Babylon.js, with the filter `kind`, by default its `PCF`. Faces cast as in `config`."""
+    is_point = any(each.is_point for each in lit)
+    # The engine draws PCF under a point light with the taps of POISSONSAMPLING.
+    kind = kind or ("POISSONSAMPLING" if is_point else "PCF")
+    metric = bias_of_a_texel(BabylonJs(), lit)
+    given = config.technique
+    sides = (
+        {"back_face_culling": given.back_face_culling, "force_back_faces_only": given.force_back_faces_only}
+        if isinstance(given, BabylonJs)
+        else {
+            "back_face_culling": config.shadow_map.cull != "none",
+            "force_back_faces_only": config.shadow_map.cull == "front",
+        }
+    )
+    parameters = {
+        "bias": _bounds(min(_START * metric, 1), 0, min(_MAX_BIAS * metric, 1)),
+        "normal_bias": _bounds(0, 0, _MAX_OFFSET * max(each.texel for each in lit)),
+    }
+    if kind == "POISSONSAMPLING":
+        parameters["blur_scale"] = _bounds(_START, 0.1, MAX_RADIUS)
+    if kind == "PCSS":
+        parameters["contact_hardening_light_size_uv_ratio"] = _bounds(0.02, 0, 0.2)
+    return EngineFit({"type": "babylon.js", "filter": kind, "float_maps": True, **sides}, parameters)
+
+
+def _bounds(initial: float, lower: float, upper: float) -> dict[str, float]:
+    return {"initial": initial, "lower": lower, "upper": upper}
+
+
+def code_of(technique: shadow.FittableTechnique, config: Config, drawn: Sequence[Drawn]) -> dict[str, str]:
     """The code for each light of `config`, by its key; none if the technique is no engine's."""
-    if not isinstance(technique, ThreeJs | BabylonJs):
+    if not isinstance(technique, shadow.ThreeJs | shadow.BabylonJs):
         return {}
     sections = config.scene.each_light.values()
     return {each.key: _code(technique, section, each) for section, each in zip(sections, drawn, strict=True)}
 
 
-def _code(technique: ThreeJs | BabylonJs, section: scene.Light, drawn: Drawn) -> str:
+def _code(technique: shadow.ThreeJs | shadow.BabylonJs, section: scene.Light, drawn: Drawn) -> str:
     light = _as_given(section, drawn.scene.light)
     # What the section gives is in world coordinates.
-    origin = WORLD if isinstance(light, EngineLight) else drawn.scene.origin
-    return engine_code(technique, light, _distances(drawn), origin)
+    origin = WORLD if isinstance(light, shadow.EngineLight) else drawn.scene.origin
+    return shadow.engine_code(technique, light, _distances(drawn), origin)
 
 
-def _as_given(section: scene.Light, light: AbstractLight) -> AbstractLight | EngineLight:
+def _as_given(section: scene.Light, light: AbstractLight) -> AbstractLight | shadow.EngineLight:
     """`light`, or the engine's own camera if the section has one: a light's map keeps its middle and its size only."""
     if not isinstance(section, DirectionalLightConfig) or section.shadow_camera is None:
         return light
@@ -39,7 +167,7 @@ def _as_given(section: scene.Light, light: AbstractLight) -> AbstractLight | Eng
     camera, direction = section.shadow_camera, section.direction or np.asarray(light.direction).tolist()
     target = [at + towards for at, towards in zip(camera.position, direction, strict=True)]
     window = {name: getattr(camera, name) for name in ("left", "right", "top", "bottom")}
-    return EngineLight("directional", list(camera.position), camera.near, camera.far, target, window)
+    return shadow.EngineLight("directional", list(camera.position), camera.near, camera.far, target, window)
 
 
 def _distances(drawn: Drawn) -> tuple[float, float]:

@@ -1,35 +1,25 @@
-"""Runs a fit: from its configuration to its folder."""
+"""Runs a fit: builds it, fits, measures, says what it comes to, and writes its folder."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import jax
 from rich.console import Console
 
-from ... import fit, shadow
+from ... import fit
 from ..._arithmetic import as_array, as_float
-from ..._words import counted
-from ...config import Config, build_fittable
-from .._drawn import Drawn
-from ..files._run_folder import folder_of
-from ..pages import _table as table
-from ..remarks._fit import remarks
-from ..remarks._layout import layout_remarks
-from ..remarks._reference import reference_remarks
-from ..remarks._verdict import verdict
-from . import _pose as poses
-from . import _record as record
-from ._engine import CODE
-from ._explained import fitted_images, unexplained
-from ._fitted import FittedRun, states_of
-from ._picture import run_picture
+from ...config import Config, ConfigError, FitPlan, Mistake, build_fittable
+from ..pages._console import print_run
+from ..record._folder import folder_of
+from ._checkpoint import Checkpoint
+from ._picture import FittedPicture, picture_problem
 from ._progress import Stages
-from ._setup import load
-from ._shape import run_shape
-from ._solve import check_processes, plan_fit, solve
+from ._setup import load, plan_fit
+from ._shape import fit_shape
 from ._views import draw_views
-from ._write_fit import write_fit
+from ._visibility import FittedRun, problems_of, states_of, with_references_of
+from ._write import write_run
 
 
 def run_fit(config: Config, *, console: Console) -> Path:
@@ -41,80 +31,93 @@ def run_fit(config: Config, *, console: Console) -> Path:
 
     **Raises** `ValueError` for a mistake in the configuration, before any long computation.
     """
-    check_processes(config)
-    if config.fit.shape is not None:
-        return run_shape(config, console=console)
-    if config.reference.type == "picture":
-        return run_picture(config, console=console)
+    _check_processes(config)
     folder = folder_of(config)
     with Stages(console) as stages:
-        fitted = fit_technique(config, stages)
+        if config.fit.shape is not None:
+            run, result = fit_shape(config, stages), None
+        else:
+            run = (fit_picture if config.reference.type == "picture" else fit_technique)(config, stages)
+            result = run.result
         if jax.process_index() > 0:
             return folder
         with stages.stage("writing"):
-            measured = write_fit(folder, fitted, stages.seconds)
-    said = fitted.verdict
-    table.print_lines(console, [said.sentence, *said.remedies], warn=said.kind == table.UNEXPLAINED)
-    table.print_fit(
-        console,
-        config.name,
-        fitted.plan.parameters,
-        fitted.result.fitted,
-        measured["before"],
-        measured["after"],
-    )
-    if fitted.result.profiles:
-        table.print_profiles(console, fitted.result.profiles, fitted.result.fitted)
-        if fitted.plan.prefer:
-            chosen = "fit.prefer chose the fitted values among those with at most"
-            table.print_lines(console, [f"{chosen} {100 * fitted.plan.tolerance:.3g} % more than the least error"])
-    if fitted.result.front:
-        table.print_front(console, list(fitted.result.fitted), fitted.result.front)
-    if fitted.validation:
-        unseen = measured["validation"]
-        table.print_validation(console, len(fitted.views.validation), unseen["before"], unseen["after"])
-    steps, seconds = fitted.result.steps, sum(stages.seconds.values())
-    noise = table.noise_text(record.noise(fitted.drawn))
-    if fitted.plan.arrangement is not None:
-        poses.print_poses(console, fitted.plan, fitted.result)
-    table.print_lines(
-        console, [f"errors are under the hard compare; {noise}", f"{counted(steps, 'step')}, {seconds:.1f} s in all"]
-    )
-    for key, code in fitted.code.items():
-        table.print_code(console, f"{CODE}, for {key}:", code)
-    table.print_lines(console, fitted.remarks, warn=True)
+            record = write_run(folder, run, stages.seconds)
+    if config.fit.shape is not None:
+        Checkpoint(config, folder).remove()
+    print_run(console, record, sum(stages.seconds.values()), result)
     return folder
 
 
 def fit_technique(config: Config, stages: Stages, on_step: Callable[[fit.Step], None] | None = None) -> FittedRun:
-    """Fits the parameters of `config`, and measures the images before and after; `on_step` as in `fit.fit`."""
+    """Fits the parameters of `config` to visibility, and measures the images before and after; `on_step` as in
+    `fit.fit`."""
     loaded = load(config, stages)
     plan, technique = plan_fit(config, loaded.scene), build_fittable(config)
     views = draw_views(config, loaded, technique, stages)
     drawn = views.drawn
     if plan.arrangement is None:
-        problems: list[Any] = [_problem(technique, each) for each in drawn]
+        problems: list[Any] = [
+            fit.TechniqueProblem(
+                technique,
+                each.state,
+                each.surface,
+                as_float(each.reference.visibility),
+                as_array(each.mask),
+                each.scene,
+            )
+            for each in drawn
+        ]
     else:
-        problems = poses.problems_of(plan, loaded.scene, drawn)
-        drawn = poses.with_references_of(problems, drawn)
-    result = solve(problems[: views.seen], plan, config.seed, stages, on_step)
+        problems = problems_of(plan, loaded.scene, drawn)
+        drawn = with_references_of(problems, drawn)
+    result = _solved(problems[: views.seen], plan, stages, on_step)
     with stages.stage("measuring"):
-        (before, after), seen = states_of(plan, result, problems, drawn, stages)
-        pairs = lambda images: stages.counted("errors of image", list(zip(images, drawn, strict=True)))
-        errors_before, errors_after = ([record.measured(*pair) for pair in pairs(each)] for each in (before, after))
-        left = unexplained(fitted_images(views, drawn, after, seen[1], result))
-    of_seen = lambda errors: record.combined(errors[: views.seen], drawn[: views.seen])
-    said = verdict(config, plan, result, of_seen(errors_before)["rmse"], of_seen(errors_after)["rmse"], left)
-    messages = [
-        *views.remarks,
-        *layout_remarks(technique, [each.key for each in drawn], [each.state for each in drawn]),
-        *(reference_remarks(config, drawn) if len(views.all) == 1 else []),
-        *remarks(config, plan, result, said.kind),
-    ]
-    errors = errors_before, errors_after
-    return FittedRun(config.name, config, plan, views, drawn, result, before, after, *errors, messages, seen, said)
+        states = states_of(result, problems, drawn, stages)
+        return FittedRun(config.name, config, result, plan.truth, views, drawn, *states)
 
 
-def _problem(technique: shadow.FittableTechnique, drawn: Drawn) -> fit.TechniqueProblem:
-    truth, mask = as_float(drawn.reference.visibility), as_array(drawn.mask)
-    return fit.TechniqueProblem(technique, drawn.state, drawn.surface, truth, mask, drawn.scene)
+def fit_picture(config: Config, stages: Stages) -> FittedPicture:
+    """Fits the parameters of `config` to a picture, and measures the pictures before and after."""
+    problem, planned = picture_problem(config, stages)
+    result = _solved([problem], planned.fit, stages)
+    with stages.stage("measuring"):
+        return FittedPicture.of(config.name, config, result, planned.fit.truth, planned.remarks)
+
+
+def _solved(
+    problems: Sequence[fit.AbstractProblem],
+    plan: FitPlan,
+    stages: Stages,
+    on_step: Callable[[fit.Step], None] | None = None,
+) -> fit.FitResult:
+    """Fits the parameters of `plan`. Its times are added to `stages`."""
+    stages.show("compiling")
+    result = fit.fit(
+        problems,
+        plan.parameters,
+        solver=plan.solver,
+        anneal=plan.anneal,
+        loss=plan.loss,
+        search=plan.search,
+        sureness=plan.sureness,
+        on_step=on_step,
+        progress=lambda detail, done: stages.show("fitting", detail, done),
+    )
+    stages.seconds |= {"compiling": result.seconds_compiling, "fitting": result.seconds_running}
+    return result
+
+
+def _check_processes(config: Config) -> None:
+    """**Raises** `ConfigError` where JAX has several processes, and these cannot share the fit of `config`."""
+    processes = jax.process_count()
+    if processes == 1:
+        return
+    if config.moves or config.fit.shape is not None or config.reference.type == "picture":
+        place, said = ("fit",), "expected one: they can share only the fit of a technique to images of its shadows"
+    elif config.fit.devices == 1:
+        place, said = ("fit", "devices"), "expected devices: 0, so that all of them share the fit"
+    else:
+        return
+    message = f"JAX has {processes} processes; {said}"
+    raise ConfigError([Mistake(config.origin.place(place), ".".join(place), message)])

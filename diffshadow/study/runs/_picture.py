@@ -1,83 +1,32 @@
-"""Runs a fit to a picture: from its configuration to its folder."""
+"""Fits to a picture: the plan, the problem, and the pictures before and after, how they are measured, their arrays and
+their files."""
 
 import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from jaxtyping import Bool, Float
-from rich.console import Console
-from rich.table import Table
 
 from ... import fit, geometry, io, metrics, raster
 from ..._arithmetic import as_float
 from ..._types import HostArray
-from ..._words import counted
-from ...config import Config, ConfigError, FitPlan, Mistake, build_shadow_mapping
+from ...config import CONFIG_FILE, Config, ConfigError, FitPlan, Mistake, build_shadow_mapping
 from ...settings.reference import Encoding, PictureReference
 from ...shading import AbstractShading, to_srgb
-from ..files._run_folder import folder_of, write_whole
-from ..files._stored import PICTURE, PICTURE_STATES, add_files
-from ..pages import _table as table
+from ..record import _runs as records
+from ..record._stored import StoredRun
 from ..remarks._fit import remarks
-from ..remarks._verdict import Unexplained, Verdict, verdict
-from . import _pose as poses
-from . import _record as record
+from ..remarks._verdict import Unexplained, verdict
 from ._progress import Stages
-from ._setup import load, trace
-from ._solve import plan_fit, solve
+from ._setup import load, plan_fit, trace
 
 Picture = Float[HostArray, "h w 3"]
 SCENE = "fitted.glb"
 """The file of the fitted scene."""
 # The near and far planes of a camera that are found by themselves are moved away by this factor, since it may move.
 _SPARE = 2.0
-
-
-class FittedPicture(NamedTuple):
-    """A finished fit to a picture.
-
-    - `pictures`: the reference, and the picture before and after, in their encoding.
-    - `measured`: the errors of the picture before and after the fit; `placed`: the fitted scene.
-    - `config`: none of a fit that was made in Python.
-    """
-
-    name: str
-    config: Config | None
-    plan: FitPlan
-    result: fit.FitResult
-    pictures: dict[str, Picture]
-    mask: Bool[HostArray, "h w"]
-    encoding: str
-    placed: geometry.Scene
-    measured: dict[str, Any]
-    verdict: Verdict
-    remarks: list[str]
-
-
-def run_picture(config: Config, *, console: Console) -> Path:
-    """Fits the parameters of `config` to a picture, prints the result, and writes the run's folder.
-
-    **Returns** the folder, `<output>/<name>`. An earlier run there is replaced only once everything is written.
-
-    **Raises** `ConfigError` for a mistake in the configuration, before any long computation.
-    """
-    folder = folder_of(config)
-    with Stages(console) as stages:
-        problem, planned = picture_problem(config, stages)
-        plan = planned.fit
-        result = solve([problem], plan, config.seed, stages)
-        with stages.stage("measuring"):
-            fitted = _finished(config.name, config, plan, result, planned.remarks)
-        with stages.stage("writing"):
-            write_picture(folder, fitted, stages.seconds)
-    _print(console, fitted, sum(stages.seconds.values()))
-    return folder
-
-
-def save_picture(result: fit.FitResult, plan: FitPlan, folder: Path, name: str, seconds: dict[str, float]) -> None:
-    """Writes the folder of a fit to a picture that was made in Python."""
-    write_picture(folder, _finished(name, None, plan, result, []), seconds)
 
 
 class PicturePlan(NamedTuple):
@@ -162,116 +111,108 @@ def shown(picture: Picture, encoding: str) -> Picture:
     return np.clip(picture, 0, 1) if encoding == "srgb" else encoded(picture, "srgb")
 
 
-def write_picture(folder: Path, fitted: FittedPicture, seconds: dict[str, float]) -> None:
-    """Writes the run's folder; `seconds` are the times of its stages."""
-    result = _result(folder, fitted, seconds)
-    write_whole(folder, lambda draft: _write(draft, fitted, result))
+@dataclasses.dataclass(frozen=True)
+class FittedPicture:
+    """A finished fit to a picture.
 
+    - `name`: of the run; `config`: none of a fit that was made in Python.
+    - `truth`: of fitted numbers, by name, as far as it is known.
+    - `pictures`: the reference, and the picture before and after, in their `encoding`.
+    - `placed`: the fitted scene.
+    """
 
-def _finished(
-    name: str, config: Config | None, plan: FitPlan, result: fit.FitResult, of_scene: list[str]
-) -> FittedPicture:
-    problem: Any = result.problems[0]
-    arrangement = result.arrangement
-    assert arrangement is not None
-    parameters = result.parameters
-    start = fit.with_parameters(problem.arrangement, parameters, [result.initial[p.name] for p in parameters])
-    # The fit judged both, so there is memory for their outlines.
-    at = lambda subject: np.asarray(problem.picture(subject))
-    pictures = {"reference": np.asarray(problem.reference), "before": at(start), "after": at(arrangement)}
-    mask = np.asarray(problem.weight) > 0
-    placed = arrangement.placed(problem.scene)
-    measured, constant = _measured(pictures, mask, problem.encoding)
-    before, after = (measured[state]["rmse"] for state in PICTURE_STATES[1:])
-    # One colour all over a picture of one colour has no error.
-    left = Unexplained(after, constant) if after >= constant > 0 else None
-    said = verdict(config, plan, result, before, after, left)
-    messages = [*of_scene, *remarks(config, plan, result, said.kind)]
-    return FittedPicture(name, config, plan, result, pictures, mask, problem.encoding, placed, measured, said, messages)
+    name: str
+    config: Config | None
+    result: fit.FitResult
+    truth: Mapping[str, float]
+    pictures: dict[str, Picture]
+    mask: Bool[HostArray, "h w"]
+    encoding: Encoding
+    placed: geometry.Scene
+    metrics: records.PictureMetrics
+    verdict: records.Verdict
+    remarks: list[str]
 
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        config: Config | None,
+        result: fit.FitResult,
+        truth: Mapping[str, float],
+        of_scene: list[str],
+    ) -> Self:
+        """Measures the pictures of a fit, and says what it comes to."""
+        problem: Any = result.problems[0]
+        arrangement = result.arrangement
+        assert arrangement is not None
+        start = fit.with_parameters(problem.arrangement, result.parameters, list(result.initial.values()))
+        # The fit judged both, so there is memory for their outlines.
+        at = lambda subject: np.asarray(problem.picture(subject))
+        pictures = {"reference": np.asarray(problem.reference), "before": at(start), "after": at(arrangement)}
+        mask, encoding = np.asarray(problem.weight) > 0, problem.encoding
+        before, after = (
+            _errors(pictures[state], pictures["reference"], mask, encoding) for state in ("before", "after")
+        )
+        measured = records.PictureMetrics(
+            before=before, after=after, pixels=int(mask.sum()), resolution=list(mask.shape)
+        )
+        # One colour all over a picture of one colour has no error.
+        constant = float(np.sqrt(np.mean(np.var(pictures["reference"][mask].astype(np.float64), axis=0))))
+        left = Unexplained(after.rmse, constant) if after.rmse >= constant > 0 else None
+        said = verdict(config, result, before.rmse, after.rmse, left)
+        sentences = [*of_scene, *remarks(config, result, said.kind)]
+        placed = arrangement.placed(problem.scene)
+        return cls(name, config, result, truth, pictures, mask, encoding, placed, measured, said, sentences)
 
-def _measured(
-    pictures: dict[str, Picture], mask: Bool[HostArray, "h w"], encoding: str
-) -> tuple[dict[str, Any], float]:
-    """The errors of the picture before and after the fit, and the least RMSE of a picture of one colour."""
-    truth = pictures["reference"]
-    found: dict[str, Any] = {"pixels": int(mask.sum()), "resolution": list(mask.shape)}
-    for state in PICTURE_STATES[1:]:
-        image = pictures[state]
-        difference = (image - truth)[mask]
-        errors: dict[str, float | None] = {
-            "rmse": float(np.sqrt(np.mean(difference**2))),
-            "mae": float(np.abs(difference).mean()),
-            "flip": None,
-        }
-        try:
-            drawn, original = (shown(each, encoding) for each in (image, truth))
-            errors["flip"], _ = metrics.flip(drawn, original, mask)
-        except ImportError:
-            pass
-        found[state] = errors
-    return found, float(np.sqrt(np.mean(np.var(truth[mask].astype(np.float64), axis=0))))
+    def record(self, **about: Any) -> records.PictureRecord:
+        """Its record."""
+        result, camera = self.result, self.placed.camera
+        return records.PictureRecord.of(
+            result,
+            verdict=self.verdict,
+            name=self.name,
+            encoding=self.encoding,
+            bounds={p.name: records.Bounds.of(p) for p in result.parameters},
+            truth=dict(self.truth),
+            deviations={} if result.precision is None else dict(result.precision.deviations),
+            camera={key: np.asarray(getattr(camera, key)).tolist() for key in ("eye", "target", "up")},
+            metrics=self.metrics,
+            warnings=self.remarks,
+            **about,
+        )
 
-
-def _result(folder: Path, fitted: FittedPicture, seconds: dict[str, float]) -> dict[str, Any]:
-    result, config, camera = fitted.result, fitted.config, fitted.placed.camera
-    return {
-        "verdict": fitted.verdict._asdict(),
-        "name": fitted.name,
-        "kind": PICTURE,
-        "encoding": fitted.encoding,
-        "initial": result.initial,
-        "fitted": result.fitted,
-        "bounds": {p.name: {"lower": p.lower, "upper": p.upper, "unit": p.unit} for p in fitted.plan.parameters},
-        "truth": fitted.plan.truth,
-        "deviations": {} if result.precision is None else result.precision.deviations,
-        "camera": {key: np.asarray(getattr(camera, key)).tolist() for key in ("eye", "target", "up")},
-        "metrics": fitted.measured,
-        "steps": result.steps,
-        "warnings": fitted.remarks,
-        "seconds": {name: round(s, 3) for name, s in seconds.items()},
-        "versions": record.versions(),
-        **({} if config is None else {"seed": config.seed, "command": record.command("fit", folder)}),
-    }
-
-
-def _write(draft: Path, fitted: FittedPicture, result: dict[str, Any]) -> None:
-    # Imported here, since only a run that gets this far needs Matplotlib.
-    from ..pages._picture import report_picture
-
-    history = fitted.result.history
-    if fitted.config is not None:
-        record.write_config(draft, fitted.config)
-    record.write_arrays(
-        draft,
-        {
-            **{name: picture.astype(np.float32) for name, picture in fitted.pictures.items()},
-            "mask": fitted.mask,
+    def arrays(self) -> dict[str, Any]:
+        """Its pictures, and the history of the fit."""
+        history = self.result.history
+        return {
+            **{name: picture.astype(np.float32) for name, picture in self.pictures.items()},
+            "mask": self.mask,
             "history_phase": np.asarray([step.phase for step in history], np.int32),
             "history_loss": np.asarray([step.loss for step in history], np.float32),
-        },
-    )
-    for name, picture in fitted.pictures.items():
-        io.write_png(draft / f"{name}.png", shown(picture, fitted.encoding))
-    io.write_gltf(draft / SCENE, fitted.placed, extras=fitted.result.fitted)
-    record.write_result(draft, result)
-    add_files(draft, [report_picture(draft).name])
+        }
+
+    @property
+    def stored_configs(self) -> dict[str, Config]:
+        """The configuration that its folder holds, by the name of its file."""
+        return {} if self.config is None else {CONFIG_FILE: self.config}
+
+    def write(self, draft: Path, run: StoredRun[Any]) -> None:
+        """Writes its pictures, and the fitted scene."""
+        for name, picture in self.pictures.items():
+            io.write_png(draft / f"{name}.png", shown(picture, self.encoding))
+        io.write_gltf(draft / SCENE, self.placed, extras=self.result.fitted)
 
 
-def _print(console: Console, fitted: FittedPicture, seconds: float) -> None:
-    said = fitted.verdict
-    table.print_lines(console, [said.sentence, *said.remedies], warn=said.kind == table.UNEXPLAINED)
-    before, after = (fitted.measured[state] for state in PICTURE_STATES[1:])
-    errors = Table("", "before", "after", title=fitted.name, title_justify="left")
-    for column in errors.columns[1:]:
-        column.justify = "right"
-    for key, title in (("rmse", "RMSE of the picture"), ("mae", "MAE of the picture"), ("flip", "FLIP")):
-        if before[key] is not None:
-            errors.add_row(title, f"{before[key]:.4f}", f"{after[key]:.4f}")
-    console.print(errors)
-    poses.print_poses(console, fitted.plan, fitted.result)
-    table.print_lines(console, fitted.remarks, warn=True)
-    table.print_lines(console, [f"{counted(fitted.result.steps, 'step')}, {seconds:.1f} s in all"])
+def _errors(image: Picture, truth: Picture, mask: Bool[HostArray, "h w"], encoding: Encoding) -> records.PictureErrors:
+    """The errors of a picture."""
+    difference = (image - truth)[mask]
+    try:
+        flip, _ = metrics.flip(shown(image, encoding), shown(truth, encoding), mask)
+    except ImportError:
+        flip = None
+    rmse = float(np.sqrt(np.mean(difference**2)))
+    return records.PictureErrors(rmse=rmse, mae=float(np.abs(difference).mean()), flip=flip)
 
 
 def _with_spare_depth(config: Config, scene: geometry.Scene) -> geometry.Scene:

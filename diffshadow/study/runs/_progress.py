@@ -45,6 +45,11 @@ class Stages:
         )
         self._task = self._progress.add_task("", total=None, detail="")
 
+    @classmethod
+    def quiet(cls) -> "Stages":
+        """Stages that are not shown."""
+        return cls(Console(quiet=True))
+
     def __enter__(self) -> "Stages":
         self._progress.start()
         return self

@@ -6,24 +6,17 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-from rich.console import Console
 
 from ... import fit, reference
 from ..._checks import check_instance
 from ..._words import counted
-from ...config import FitPlan
 from .._drawn import Drawn
-from ..files._run_folder import checked_folder
-from ..remarks._fit import remarks
-from ..remarks._layout import layout_remarks
-from ..remarks._verdict import verdict
-from . import _record as record
-from ._explained import fitted_images, unexplained
-from ._fitted import FittedRun, Images, States, states_of
-from ._picture import save_picture
+from ..record._folder import checked_folder
+from ._picture import FittedPicture
 from ._progress import Stages
 from ._views import DrawnView, Views
-from ._write_fit import write_fit
+from ._visibility import FittedRun, states_of
+from ._write import Finished, write_run
 
 
 def save_fit(result: fit.FitResult, folder: str | os.PathLike[str], *, names: Sequence[str] | None = None) -> Path:
@@ -62,14 +55,14 @@ def save_fit(result: fit.FitResult, folder: str | os.PathLike[str], *, names: Se
             f"{counted(len(result.parameters), 'parameter')}; expected images of one size, "
             "and what fit.fit returned: save one fit for each size"
         )
-    stages = Stages(Console(quiet=True))
+    stages, name = Stages.quiet(), into.resolve().name
     stages.seconds |= {"compiling": result.seconds_compiling, "fitting": result.seconds_running}
-    if kinds is fit.PictureProblem:
-        save_picture(result, _plan(result), into, into.resolve().name, stages.seconds)
-        return into
     with stages.stage("measuring"):
-        fitted = _fitted(result, into.resolve().name, _names(result, names), stages)
-    write_fit(into, fitted, stages.seconds)
+        if kinds is fit.PictureProblem:
+            run: Finished = FittedPicture.of(name, None, result, {}, [])
+        else:
+            run = _measured(name, result, _names(result, names), stages)
+    write_run(into, run, stages.seconds)
     return into
 
 
@@ -83,58 +76,16 @@ def _names(result: fit.FitResult, names: Sequence[str] | None) -> list[str]:
     return named
 
 
-def _fitted(result: fit.FitResult, name: str, keys: Sequence[str], stages: Stages) -> FittedRun:
+def _measured(name: str, result: fit.FitResult, keys: Sequence[str], stages: Stages) -> FittedRun:
     """The fit as it is written."""
-    plan = _plan(result)
     drawn = [_drawn(problem, key, result) for problem, key in zip(result.problems, keys, strict=True)]
-    images, seen = states_of(plan, result, result.problems, drawn, stages)
+    states = states_of(result, result.problems, drawn, stages)
     if result.arrangement is not None:
         # Where lights and meshes truly are is not known, so the reference is shown where the fit leaves them.
-        drawn = seen[1]
-    return _measured(plan, result, name, _views(drawn), images, seen)
-
-
-def _measured(
-    plan: FitPlan, result: fit.FitResult, name: str, views: Views, images: tuple[Images, Images], seen: States
-) -> FittedRun:
-    drawn, (before, after) = views.drawn, images
-    errors_before, errors_after = (list(map(record.measured, each, drawn)) for each in images)
-    left = unexplained(fitted_images(views, drawn, after, seen[1], result))
-    at_first, at_last = (record.combined(errors, drawn)["rmse"] for errors in (errors_before, errors_after))
-    said = verdict(None, plan, result, at_first, at_last, left)
-    of_layout = layout_remarks(result.technique, [each.key for each in drawn], [each.state for each in drawn])
-    messages = [*of_layout, *remarks(None, plan, result, said.kind)]
-    errors = errors_before, errors_after
-    has_scene = all(each.scene is not None for each in drawn)
-    return FittedRun(name, None, plan, views, drawn, result, before, after, *errors, messages, seen, said, has_scene)
-
-
-def _views(drawn: Sequence[Drawn]) -> Views:
+        drawn = states[1].drawn
     # Which problems are lights of one image is not known: each is shown alone.
-    return Views([DrawnView(each.key, None, None, [each]) for each in drawn], [])
-
-
-def _plan(result: fit.FitResult) -> FitPlan:
-    """What a configuration says of a fit, as far as it is known."""
-    within = result.profiles[0].intervals if result.profiles else ()
-    moving: Any = result.problems[0] if result.arrangement is not None else None
-    return FitPlan(
-        parameters=list(result.parameters),
-        solver=result.solver or fit.Solver(),
-        anneal=fit.Anneal(),
-        loss=None,
-        arrangement=None if moving is None else moving.arrangement,
-        blurs=None,
-        starts=max(len(result.starts), 1),
-        evaluations=1,
-        pixels=1,
-        devices=1,
-        truth={},
-        within=tuple(each.within for each in within),
-        prefer=(),
-        tolerance=fit.Sureness.tolerance,
-        front=len(result.front),
-    )
+    views = Views([DrawnView(each.key, None, None, [each]) for each in drawn], [])
+    return FittedRun(name, None, result, {}, views, drawn, *states)
 
 
 def _drawn(problem: Any, key: str, result: fit.FitResult) -> Drawn:
@@ -154,5 +105,5 @@ def _drawn(problem: Any, key: str, result: fit.FitResult) -> Drawn:
         samples=0,
         standard_error=np.zeros_like(visibility),
     )
-    # A technique's problem may lack the scene. Only pictures need it, and `has_pictures` says so.
+    # A technique's problem may lack the scene. Only pictures need it.
     return Drawn(key, cast(Any, problem.scene), state, surface, truth, mask)

@@ -9,20 +9,22 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float32
 
-from ... import geometry, io, raster, reference, shadow
+from ... import fit, geometry, io, raster, reference, shadow
 from ..._types import HostArray
 from ...config import (
     Config,
     ConfigError,
+    FitPlan,
     Mistake,
     StagedMeshes,
+    build_fit,
     build_meshes,
     build_scene,
     build_shading,
 )
 from ...settings.reference import ImageReference, PictureReference, TracedReference
 from .._drawn import Drawn
-from ..remarks._framing import dark_scene
+from ..remarks._scene import dark_scene
 from ..remarks._sight import blind_camera, blind_light
 from ._progress import Stages
 
@@ -166,6 +168,19 @@ def load(config: Config, stages: Stages, like: Loaded | None = None) -> Loaded:
         staged = build_meshes(config) if staged is None else staged
         scene = build_scene(config, staged)
     return Loaded(scene, tuple(remarks), staged)
+
+
+def plan_fit(config: Config, scene: geometry.Scene) -> FitPlan:
+    """The fit of `config`, whose scene is `scene`.
+
+    **Raises** `ConfigError` as `build_fit` does, and for more devices than there are or than the fit can use.
+    """
+    plan = build_fit(config, scene)
+    try:
+        fit.devices_of(plan.search.devices, moves=config.moves)
+    except ValueError as error:
+        raise _error(config, ("fit", "devices"), str(error)) from error
+    return plan
 
 
 @contextlib.contextmanager

@@ -1,25 +1,22 @@
-"""Runs a fit of a shape: from its configuration to its folder."""
+"""Fits of a shape: the problem, and the silhouettes before and after, how they are measured, their arrays and files."""
 
+import dataclasses
 import itertools
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
 from ... import fit, geometry, io, metrics
 from ..._types import HostArray
-from ...config import Config, ConfigError, Mistake, Screen, ShapePlan, build_shape
-from ..files._run_folder import folder_of, write_whole
-from ..files._stored import SHAPE, add_files
-from ..pages._table import print_lines
-from ..remarks._shape import shape_remarks, shape_verdict
-from ..remarks._verdict import Verdict
-from . import _record as record
+from ...config import CONFIG_FILE, Config, ConfigError, Mistake, Screen, ShapePlan, build_shape
+from ..record import _runs as records
+from ..record._folder import folder_of
+from ..record._stored import StoredRun
+from ..remarks._fit import shape_remarks
+from ..remarks._verdict import shape_verdict
 from ._checkpoint import Checkpoint
 from ._progress import Stages
 from ._setup import trace
@@ -33,11 +30,11 @@ MESH = "shape.ply"
 _KEPT = 36
 
 
-class FittedShapeRun(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class FittedShapeRun:
     """A finished fit of a shape.
 
-    - `targets`: what each light's shadow should be; `rays`: what rays see of the result; `unseen`: of the result and of
-        the truth, under lights that the fit did not see.
+    - `targets`: what each light's shadow should be; `rays`: what rays see of the result.
     - `steps`: vertices and faces at some of the steps.
     """
 
@@ -46,39 +43,50 @@ class FittedShapeRun(NamedTuple):
     result: fit.FittedShape
     targets: list[Image]
     rays: list[Image]
-    unseen: list[tuple[Image, Image]]
     steps: list[tuple[HostArray, HostArray]]
+    metrics: records.ShapeMetrics
+    verdict: records.Verdict
+
+    def record(self, **about: Any) -> records.ShapeRecord:
+        """Its record."""
+        result = self.result
+        steps = [sum(phase == k for phase, _ in result.history) for k in range(len(self.plan.phases))]
+        return records.ShapeRecord(
+            verdict=self.verdict,
+            name=self.config.name,
+            metrics=self.metrics,
+            vertices=len(result.mesh.vertices),
+            chosen_phase=result.chosen,
+            phases=[records.ShapePhase(steps=n, loss=loss) for n, loss in zip(steps, result.losses, strict=True)],
+            warnings=[*self.plan.remarks, *shape_remarks(result)],
+            **about,
+        )
+
+    def arrays(self) -> dict[str, Any]:
+        """The images that the fit compares, and its history."""
+        found = self.result
+        return {
+            "reference": np.stack(self.targets).astype(np.float32),
+            "before": np.stack(found.initial_images).astype(np.float32),
+            "after": np.stack(found.images).astype(np.float32),
+            "history_phase": np.asarray([phase for phase, _ in found.history], np.int32),
+            "history_loss": np.asarray([loss for _, loss in found.history], np.float32),
+        }
 
     @property
-    def remarks(self) -> list[str]:
-        """Sentences on the images that are its targets, and on how the fit went."""
-        return [*self.plan.remarks, *shape_remarks(self.result)]
+    def stored_configs(self) -> dict[str, Config]:
+        """The configuration that its folder holds, by the name of its file."""
+        return {CONFIG_FILE: self.config}
 
+    def write(self, draft: Path, run: StoredRun[Any]) -> None:
+        """Writes the mesh, and animations of it."""
+        from ..pages._report import PROGRESS, TURNTABLE
+        from ._turntable import progress, turntable
 
-def run_shape(config: Config, *, console: Console) -> Path:
-    """Fits the shape of `config`, prints how close it is, and writes the run's folder.
-
-    A fit that was stopped goes on from its checkpoint, if the configuration is the same.
-
-    **Returns** the folder, `<output>/<name>`. An earlier run there is replaced only once everything is written.
-
-    **Raises** `ConfigError` for a mistake in the configuration, before any long computation.
-    """
-    folder = folder_of(config)
-    checkpoint = Checkpoint(config, folder)
-    with Stages(console) as stages:
-        fitted = fit_configured_shape(config, stages, checkpoint)
-        with stages.stage("measuring"):
-            measured = _measured(fitted)
-            said = shape_verdict(fitted.result, measured)
-        with stages.stage("writing"):
-            result = _result(folder, fitted, measured, said, stages.seconds)
-            write_whole(folder, lambda draft: _write(draft, fitted, result))
-    checkpoint.remove()
-    print_lines(console, [said.sentence, *said.remedies])
-    _print(console, config.name, measured, sum(stages.seconds.values()))
-    print_lines(console, fitted.remarks, warn=True)
-    return folder
+        mesh = self.result.mesh
+        io.write_ply(draft / MESH, np.asarray(mesh.vertices), np.asarray(mesh.faces))
+        io.write_animation(draft / TURNTABLE, turntable(mesh), 80)
+        io.write_animation(draft / PROGRESS, progress(self.steps), 120)
 
 
 def shape_problem(config: Config, stages: Stages | None = None) -> tuple[ShapePlan, fit.ShapeProblem, list[Image]]:
@@ -86,9 +94,7 @@ def shape_problem(config: Config, stages: Stages | None = None) -> tuple[ShapePl
 
     **Raises** `ConfigError` for a mesh, a light or an image that cannot be used.
     """
-    if stages is None:
-        with Stages(Console(quiet=True)) as quiet:
-            return shape_problem(config, quiet)
+    stages = Stages.quiet() if stages is None else stages
     with stages.stage("loading"):
         plan = build_shape(config)
     with stages.stage("tracing targets"):
@@ -103,11 +109,12 @@ def shape_problem(config: Config, stages: Stages | None = None) -> tuple[ShapePl
         raise _error(config, str(error)) from error
 
 
-def fit_configured_shape(config: Config, stages: Stages, checkpoint: Checkpoint) -> FittedShapeRun:
-    """Fits the shape of `config`.
+def fit_shape(config: Config, stages: Stages) -> FittedShapeRun:
+    """Fits the shape of `config`. A fit that was stopped goes on from its checkpoint, if the configuration is the same.
 
     **Raises** `ConfigError` for a mistake in the configuration; `FileError` if no space is left for the checkpoint.
     """
+    checkpoint = Checkpoint(config, folder_of(config))
     plan, problem, targets = shape_problem(config, stages)
     kept: list[tuple[HostArray, HostArray]] = [(np.asarray(plan.start.vertices), np.asarray(plan.start.faces))]
     with stages.stage("fitting"):
@@ -125,7 +132,10 @@ def fit_configured_shape(config: Config, stages: Stages, checkpoint: Checkpoint)
         rays = [shadow_on(screen, mesh) for screen in lit]
         pairs = [] if plan.truth is None else [(shadow_on(s, mesh), shadow_on(s, plan.truth)) for s in plan.unseen]
     kept.append((np.asarray(mesh.vertices), np.asarray(mesh.faces)))
-    return FittedShapeRun(config, plan, result, targets, rays, pairs, kept)
+    with stages.stage("measuring"):
+        measured = _measured(plan, result, targets, rays, pairs)
+        said = shape_verdict(result, measured)
+    return FittedShapeRun(config, plan, result, targets, rays, kept, measured, said)
 
 
 def _watch(
@@ -153,34 +163,52 @@ def shadow_on(screen: Screen, mesh: geometry.Mesh) -> Image:
     return np.asarray(trace(screen.scene(mesh), {"samples": 1, "supersampling": _RAYS}).visibility)
 
 
-def _measured(fitted: FittedShapeRun) -> dict[str, Any]:
-    """How close the shadows and the shape are."""
-    overlap, plan, result = metrics.intersection_over_union, fitted.plan, fitted.result
-    lights = [
-        {"light": screen.key, "before": overlap(b, t), "map": overlap(m, t), "rays": overlap(r, t)}
-        for screen, t, b, m, r in zip(
-            plan.seen, fitted.targets, result.initial_images, result.images, fitted.rays, strict=True
-        )
-    ]
-    found: dict[str, Any] = {"initial_loss": result.initial_loss, "loss": result.loss, "lights": lights}
-    mesh = result.mesh
-    found["self_intersections"] = metrics.count_self_intersections(np.asarray(mesh.vertices), np.asarray(mesh.faces))
-    if fitted.unseen:
-        pairs = zip(plan.unseen, fitted.unseen, strict=True)
-        found["unseen"] = [{"light": screen.key, "rays": overlap(*both)} for screen, both in pairs]
-    if any(moves for moves, _ in plan.starts):
-        middle = np.asarray(plan.start.bounds, np.float64).mean(axis=0)
-        off = lambda screen, light: _degrees_between(screen.light, light, middle)
-        found["moved"] = [
-            {"light": screen.key, "before": off(screen, start), "after": off(screen, end)}
-            for screen, (moves, start), end in zip(plan.seen, plan.starts, result.lights, strict=True)
-            if moves
-        ]
+def _measured(
+    plan: ShapePlan,
+    result: fit.FittedShape,
+    targets: list[Image],
+    rays: list[Image],
+    unseen: list[tuple[Image, Image]],
+) -> records.ShapeMetrics:
+    """How close the shadows and the shape are. `unseen`: shadows of the result and of the truth, under lights that the
+    fit did not see."""
+    overlap, triangles = (
+        metrics.intersection_over_union,
+        (np.asarray(result.mesh.vertices), np.asarray(result.mesh.faces)),
+    )
+    images = zip(plan.seen, targets, result.initial_images, result.images, rays, strict=True)
+    middle = np.asarray(plan.start.bounds, np.float64).mean(axis=0)
+    lights = zip(plan.seen, plan.starts, result.lights, strict=True)
+    chamfer = size = None
     if plan.truth is not None:
-        triangles = lambda mesh: (np.asarray(mesh.vertices), np.asarray(mesh.faces))
-        found["chamfer"] = metrics.chamfer_distance(triangles(result.mesh), triangles(plan.truth))
-        found["size"] = float(np.ptp(np.asarray(plan.truth.bounds), axis=0).max())
-    return found
+        truth = (np.asarray(plan.truth.vertices), np.asarray(plan.truth.faces))
+        chamfer = metrics.chamfer_distance(triangles, truth)
+        size = float(np.ptp(np.asarray(plan.truth.bounds), axis=0).max())
+    return records.ShapeMetrics(
+        initial_loss=result.initial_loss,
+        loss=result.loss,
+        lights=[
+            records.Overlap(light=screen.key, before=overlap(b, t), map=overlap(m, t), rays=overlap(r, t))
+            for screen, t, b, m, r in images
+        ],
+        # None without images of unseen lights.
+        unseen=[
+            records.UnseenOverlap(light=s.key, rays=overlap(*both))
+            for s, both in zip(plan.unseen, unseen, strict=False)
+        ],
+        moved=[
+            records.MovedLight(
+                light=screen.key,
+                before=_degrees_between(screen.light, start, middle),
+                after=_degrees_between(screen.light, end, middle),
+            )
+            for screen, (moves, start), end in lights
+            if moves
+        ],
+        self_intersections=metrics.count_self_intersections(*triangles),
+        chamfer=chamfer,
+        size=size,
+    )
 
 
 def _degrees_between(
@@ -192,73 +220,6 @@ def _degrees_between(
         return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))
     a, b = (np.asarray(each.pose().place, np.float64) for each in (light, other))
     return float(np.degrees(np.arctan2(np.linalg.norm(b - a), np.linalg.norm(a - middle))))
-
-
-def _result(
-    folder: Path, fitted: FittedShapeRun, measured: dict[str, Any], said: Verdict, seconds: dict[str, float]
-) -> dict[str, Any]:
-    result, config = fitted.result, fitted.config
-    steps = [sum(phase == k for phase, _ in result.history) for k in range(len(fitted.plan.phases))]
-    return {
-        "verdict": said._asdict(),
-        "name": config.name,
-        "kind": SHAPE,
-        "metrics": measured,
-        "vertices": len(result.mesh.vertices),
-        "chosen_phase": result.chosen,
-        "phases": [{"steps": n, "loss": loss} for n, loss in zip(steps, result.losses, strict=True)],
-        "warnings": fitted.remarks,
-        "seconds": {name: round(s, 3) for name, s in seconds.items()},
-        "versions": record.versions(),
-        "seed": config.seed,
-        "command": record.command("fit", folder),
-    }
-
-
-def _write(draft: Path, fitted: FittedShapeRun, result: dict[str, Any]) -> None:
-    # Imported here, since only a run that gets this far needs Matplotlib.
-    from ..pages._shape import PROGRESS, TURNTABLE, report_shape
-
-    found = fitted.result
-    record.write_config(draft, fitted.config)
-    record.write_arrays(
-        draft,
-        {
-            "reference": np.stack(fitted.targets).astype(np.float32),
-            "before": np.stack(found.initial_images).astype(np.float32),
-            "after": np.stack(found.images).astype(np.float32),
-            "history_phase": np.asarray([phase for phase, _ in found.history], np.int32),
-            "history_loss": np.asarray([loss for _, loss in found.history], np.float32),
-        },
-    )
-    io.write_ply(draft / MESH, np.asarray(found.mesh.vertices), np.asarray(found.mesh.faces))
-    from ._turntable import progress, turntable
-
-    io.write_animation(draft / TURNTABLE, turntable(found.mesh), 80)
-    io.write_animation(draft / PROGRESS, progress(fitted.steps), 120)
-    record.write_result(draft, result)
-    add_files(draft, [report_shape(draft).name])
-
-
-def _print(console: Console, name: str, measured: dict[str, Any], seconds: float) -> None:
-    table = Table("intersection over union", "before", "after, map", "after, rays", title=name, title_justify="left")
-    for column in table.columns[1:]:
-        column.justify = "right"
-    for light in measured["lights"]:
-        table.add_row(Text(light["light"]), *(f"{light[key]:.4f}" for key in ("before", "map", "rays")))
-    for light in measured.get("unseen", ()):
-        table.add_row(Text(light["light"]), "", "", f"{light['rays']:.4f}")
-    console.print(table)
-    lines = [f"mean square error {measured['initial_loss']:.3g} before, {measured['loss']:.3g} after"]
-    if "chamfer" in measured:
-        share = measured["chamfer"] / measured["size"]
-        lines.append(f"Chamfer distance {measured['chamfer']:.4g} world units, {share:.2%} of the shape's size")
-    for light in measured.get("moved", ()):
-        lines.append(
-            f"{light['light']} is {light['after']:.3f}° from its place in the scene, {light['before']:.3f}° before"
-        )
-    for line in (*lines, f"{seconds:.1f} s in all"):
-        console.print(Text(line), soft_wrap=True)
 
 
 def _error(config: Config, what: str) -> ConfigError:

@@ -7,15 +7,16 @@ prefix is cut out of all that is returned, so that text names paths as the sweep
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from ... import io
 from ..._memory import collect_rarely
 from ..._xla import use_all_cores
 from ...config import SweepRun
-from ..files._run_folder import remove
+from ..record._folder import remove
+from ..record._sweeps import Outcome
 from ._code import PACKAGE, own_code
-from ._work import FIGURES, RUNS, Batch, Outcome, do, files_of, write_files
+from ._work import FIGURES, RUNS, Batch, do, files_of, write_files
 
 # The folder of copies of input files, in the worker's own.
 _COPIES = "inputs"
@@ -97,8 +98,8 @@ def _copied(file: Path, content: bytes) -> Path:
 def _done(batch: Batch, run: SweepRun, prefix: str) -> Returned:
     """Does a run. Its figures are removed here."""
     outcome = do(batch, run)
-    error: Any = outcome.error and outcome.error.replace(prefix, "")
-    outcome = outcome._replace(error=error)
+    if outcome.error is not None:
+        outcome = outcome.model_copy(update={"error": outcome.error.replace(prefix, "")})
     folder = Path(batch.folder)
     own = files_of(run, outcome, batch.settings.run)
     files = {f"{RUNS}/{run.id}/{name}": content for name, content in own.items()}

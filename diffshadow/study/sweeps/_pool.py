@@ -17,11 +17,12 @@ import jax
 from ... import io
 from ..._memory import collect_rarely
 from ..._xla import use_all_cores
+from ..record._sweeps import Outcome
 from ._apart import Returned, work_apart, write_returned
 from ._code import PACKAGE, Code, asked_of, own_code
 from ._inputs import Sender
 from ._interrupts import POLL, deferred_interrupts, out_of_reach
-from ._work import FAILED, Batch, Outcome, work, write_outcome
+from ._work import FAILED, Batch, work, write_outcome
 
 # XLA takes the size of its thread pool from NPROC, and reads both variables when JAX is first used.
 _ONE_THREAD = {
@@ -371,6 +372,6 @@ def _no_scheduler(address: str, reason: str) -> ValueError:
 def _killed(batch: Batch) -> Outcome:
     (run,) = batch.runs
     error = "its worker died at every attempt, perhaps for lack of memory"
-    outcome = Outcome(run.id, FAILED, error, {}, {})
+    outcome = Outcome(id=run.id, status=FAILED, error=error, metrics={}, seconds={})
     write_outcome(batch.folder, run, outcome, batch.settings.run)
     return outcome

@@ -16,7 +16,8 @@ from jaxtyping import Float
 from ... import io
 from ..._types import HostArray
 from ...config import ConfigError, PlotConfig, Row, SweepConfig, describe, load_config
-from ..files._stored import CONFIG, REPORT, read_result
+from ..record._stored import CONFIG, REPORT
+from ..record._sweeps import SweepRecord
 from ._curves import columns_for, curves_of, unit_of, with_unit
 from ._table import MISSING, Columns, metric_columns, read_columns, table_of
 from ._work import FAILED, FIGURES, OK, RUNS
@@ -46,7 +47,7 @@ class Summary(NamedTuple):
     total: int
 
 
-def report_sweep(folder: Path, form: str | None = None) -> Path:
+def report_sweep(folder: Path, record: SweepRecord, form: str | None = None) -> Path:
     """Writes the page of the sweep in `folder`, and its figure if a format `form` is given. **Returns** the page.
 
     **Raises** `FileError` if the sweep's table is missing, damaged, or another sweep's.
@@ -54,8 +55,7 @@ def report_sweep(folder: Path, form: str | None = None) -> Path:
     from ..pages._next import after_sweep
     from ..pages._page import file_pictures, write_page
 
-    result = read_result(folder)
-    sweep = SweepConfig.model_validate(result["settings"])
+    sweep = record.settings
     runs = _read_table(folder, sweep)
     axes = [axis for axis in sweep.axes if axis != _SEED]
     settings = _settings(folder, runs)
@@ -67,7 +67,7 @@ def report_sweep(folder: Path, form: str | None = None) -> Path:
     write_page(
         folder / REPORT,
         "sweep.html.j2",
-        name=result["name"],
+        name=record.name,
         kind=sweep.run,
         total=len(runs["id"]),
         done=len(good["id"]),
@@ -86,8 +86,8 @@ def report_sweep(folder: Path, form: str | None = None) -> Path:
         failures=failures,
         more_failures=more_failures,
         settings=settings,
-        environment=[(name, value, "") for name, value in result.get("versions", {}).items()],
-        commands=after_sweep(folder, sweep.run, _best(folder, good), result.get("command", "")),
+        environment=[(name, value, "") for name, value in record.versions.items()],
+        commands=after_sweep(folder, sweep.run, _best(folder, good), record.command),
     )
     return folder / REPORT
 

@@ -18,13 +18,13 @@ from rich.table import Table
 from ... import io
 from ..._words import counted
 from ...config import LABEL, Sweep, SweepRun, describe
-from ..files._run_folder import RESULT, folder_of, remove, write_whole
-from ..files._schema import as_stored, write_json
-from ..files._stored import SWEEP
 from ..pages import _table as table
+from ..record._files import RESULT, write_record
+from ..record._folder import folder_of, remove, write_whole
+from ..record._sweeps import AdviseRecord, SweepRecord
 from ..remarks._layout import frames_remarks
-from ..runs import _record as record
 from ..runs._progress import counting
+from ..runs._write import versions
 from ._curves import Curve, columns_for, curves_of
 from ._pace import Pace
 from ._pool import pool
@@ -78,12 +78,13 @@ def run_sweep(
     `ConfigError` if the folder cannot be written; `FileError` if no space is left on its disk.
     """
     folder = folder_of(sweep.runs[0].config, SUFFIX).absolute()
-    with doing(folder, sweep, SWEEP, console, scheduler, workers, limit) as (tables, tried):
+    with doing(folder, sweep, SweepRecord, console, scheduler, workers, limit) as (tables, tried):
         curves, remarks = _plotted(folder, sweep, tables.results)
         remarks += _remarks_on_frames(sweep)
         counts = counts_of(tables.results)
-        write_record(folder, record_of(sweep, SWEEP, counts))
-        report_sweep(folder)
+        record = SweepRecord(**about(sweep, SweepRecord, counts))
+        write_record(folder, record)
+        report_sweep(folder, record)
     _print(console, sweep, tables.results, curves)
     table.print_lines(console, _summary(sweep, counts, tried, table_of(folder).name))
     table.print_lines(console, [*remarks, *failures(tables.results)], warn=True)
@@ -94,7 +95,7 @@ def run_sweep(
 def doing(
     folder: Path,
     sweep: Sweep,
-    kind: str,
+    kind: type[SweepRecord | AdviseRecord],
     console: Console,
     scheduler: str | None,
     workers: int | None,
@@ -105,7 +106,7 @@ def doing(
 
     **Arguments:**
 
-    - `kind`: what the folder is: a sweep, or what is made of one.
+    - `kind`: of the folder's record: of a sweep, or of what is made of one.
     - `pace`: says how long the runs take.
 
     **Yields** the tables, and the number of runs that were tried now. Until the end of the block, no other process can
@@ -200,13 +201,14 @@ def _shown(value: Any) -> str:
     return text if len(text) <= 32 else f"{text[:32]}…"
 
 
-def _begin(folder: Path, sweep: Sweep, kind: str) -> None:
+def _begin(folder: Path, sweep: Sweep, kind: type[SweepRecord | AdviseRecord]) -> None:
     """Creates the sweep's folder if it does not exist.
 
     **Raises** `FileError` if the folder of the runs cannot be created in it.
     """
     if not (folder / RESULT).exists():
-        write_whole(folder, lambda draft: write_record(draft, record_of(sweep, kind, {})))
+        record = kind(**about(sweep, kind, {}))
+        write_whole(folder, lambda draft: write_record(draft, record))
     io.check_writable(folder / RUNS)
     (folder / RUNS).mkdir(exist_ok=True)
 
@@ -342,26 +344,19 @@ def counts_of(results: Columns) -> dict[str, int]:
     return Counter(results["status"].tolist())
 
 
-def record_of(sweep: Sweep, kind: str, counts: Mapping[str, int]) -> dict[str, Any]:
-    """The content of `result.json`: the folder's `kind`, and how many runs have each status."""
+def about(sweep: Sweep, kind: type[SweepRecord | AdviseRecord], counts: Mapping[str, int]) -> dict[str, Any]:
+    """What a record of this `kind` says of a sweep, of whose runs so many have each status."""
+    verb = kind.model_fields["kind"].default
     return {
-        "schema_version": record.SCHEMA_VERSION,
         "name": sweep.name,
-        "kind": kind,
         "source": sweep.source,
         "runs": len(sweep.runs),
         "done": counts.get(OK, 0),
         "failed": counts.get(FAILED, 0),
-        "settings": sweep.settings.model_dump(mode="json"),
-        "versions": record.versions(),
-        "command": shlex.join(["diffshadow", kind, sweep.source, *sweep.overrides]),
+        "settings": sweep.settings,
+        "versions": versions(),
+        "command": shlex.join(["diffshadow", verb, sweep.source, *sweep.overrides]),
     }
-
-
-def write_record(folder: Path, whole: Mapping[str, Any]) -> None:
-    """Writes `result.json`."""
-    with io.atomic_path(folder / RESULT) as temporary:
-        write_json(temporary, as_stored(whole))
 
 
 def _print(console: Console, sweep: Sweep, results: Columns, curves: Sequence[Curve]) -> None:

@@ -10,18 +10,18 @@ import warnings
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import Float32
+from pydantic import ValidationError
 from rich.console import Console
 
 from ... import io, metrics, reference
 from ..._types import HostArray
 from ...config import (
     CONFIG_FILE,
-    FITTED_FILE,
     FLICKER,
     LIMIT_ERROR,
     Config,
@@ -32,18 +32,20 @@ from ...config import (
 )
 from ...settings.filters import RandomDisk
 from .._drawn import Drawn
-from ..files._run_folder import RESULT, folder_of, remove, write_whole
-from ..files._schema import is_outcome, read_json
-from ..runs import _record as record
-from ..runs import _render as render_run
+from ..record._files import RESULT, content_of, read_json
+from ..record._folder import folder_of, remove, write_whole
+from ..record._sweeps import Outcome
 from ..runs._fit import fit_technique
+from ..runs._measure import combined, noise
 from ..runs._progress import Stages
+from ..runs._render import SUFFIX, render_drawn
 from ..runs._setup import draw, load, visibility_of
-from ..runs._write_fit import write_fit
+from ..runs._write import configs_of_fit, write_run, yaml_of
 
 RUNS, FIGURES, LIMITS = "runs", "figures", "limits"
 """The folders of runs, of their figures, and of filters' limits, inside the sweep's folder."""
-OK, FAILED = "ok", "failed"
+OK: Literal["ok"] = "ok"
+FAILED: Literal["failed"] = "failed"
 FITTED = "fitted."
 """The prefix of the metrics that hold a fit's results."""
 VALIDATION = "validation."
@@ -83,16 +85,6 @@ class Batch(NamedTuple):
     shape: str = ""
 
 
-class Outcome(NamedTuple):
-    """The outcome of a run: status `"ok"` or `"failed"`, with metrics or an error, and the seconds of its stages."""
-
-    id: str
-    status: str
-    error: str | None
-    metrics: Mapping[str, float | int | None]
-    seconds: Mapping[str, float]
-
-
 def work(batch: Batch) -> list[Outcome]:
     """Does the runs of `batch` that are not done yet, and writes a folder for each."""
     if batch.programs is not None:
@@ -121,13 +113,26 @@ def read_outcome(
     - `failed`: whether to return the outcome of a failed run, too.
     """
     try:
-        stored = read_json(Path(folder) / RUNS / id / RESULT)
-    except io.FileError:
+        outcome = Outcome.model_validate(read_json(Path(folder) / RUNS / id / RESULT))
+    except (io.FileError, ValidationError):
         return None
-    if not is_outcome(stored, id, *_measured(settings)):
+    if outcome.id != id or not _is_complete(outcome, settings):
         return None
-    outcome = Outcome(**{name: stored[name] for name in Outcome._fields})
     return outcome if outcome.status == OK or failed else None
+
+
+def _is_complete(outcome: Outcome, settings: SweepConfig) -> bool:
+    """Whether an outcome has the metrics of a sweep's run, or failed with an error."""
+    if (outcome.status == OK) != (outcome.error is None):
+        return False
+    if outcome.status == FAILED:
+        return not outcome.metrics
+    kinds, others = _measured(settings)
+    return (
+        kinds.keys() <= outcome.metrics.keys()
+        and all(outcome.metrics[name] is None or isinstance(outcome.metrics[name], kinds[name]) for name in kinds)
+        and all(name.startswith(others) for name in outcome.metrics.keys() - kinds.keys())
+    )
 
 
 def _measured(settings: SweepConfig) -> tuple[dict[str, type], tuple[str, ...]]:
@@ -151,14 +156,11 @@ def write_outcome(folder: str | os.PathLike[str], run: SweepRun, outcome: Outcom
 def files_of(run: SweepRun, outcome: Outcome, kind: str) -> dict[str, bytes]:
     """The files of the run's folder by name: its configuration, with the layout that it was drawn with, and its
     outcome."""
-    config = run.config.with_layout_of_fit() if kind == "fit" else run.config
-
     found = {name.removeprefix(FITTED): value for name, value in outcome.metrics.items() if name.startswith(FITTED)}
     fitted = {name: value for name, value in found.items() if value is not None}
-    files = {CONFIG_FILE: record.yaml_of(config)}
-    if fitted and (after := record.fitted_config(config, fitted)) is not None:
-        files[FITTED_FILE] = record.yaml_of(after)
-    return {**files, RESULT: record.result_of(outcome._asdict(), files)}
+    configs = configs_of_fit(run.config, fitted) if kind == "fit" else {CONFIG_FILE: run.config}
+    files = {name: yaml_of(config) for name, config in configs.items()}
+    return {**files, RESULT: content_of(outcome, files)}
 
 
 def write_files(place: Path, files: Mapping[str, bytes]) -> None:
@@ -217,23 +219,24 @@ def do(batch: Batch, run: SweepRun) -> Outcome:
         if io.is_full_disk(problem):
             raise
         measured, status, error = {}, FAILED, f"{type(problem).__name__}: {problem}"
-    return Outcome(run.id, status, error, measured, {**stages.seconds, "total": time.perf_counter() - started})
+    seconds = {**stages.seconds, "total": time.perf_counter() - started}
+    return Outcome(id=run.id, status=status, error=error, metrics=measured, seconds=seconds)
 
 
 def _measure_render(config: Config, batch: Batch, stages: Stages) -> Measured:
     drawn = _draw(config, stages)
-    rendered = render_run.render_drawn(config, build_technique(config, fitting=False), drawn, stages)
-    measured: Measured = dict(record.combined(rendered.errors, drawn))
+    rendered = render_drawn(config, build_technique(config, fitting=False), drawn, stages)
+    measured: Measured = dict(combined(rendered.errors, drawn))
     if batch.settings.limit_samples is not None:
         limits = _limits(config, batch.settings.limit_samples, drawn, batch.folder, stages)
         away = [
             {"rmse": metrics.rmse(image, limit, each.mask) if each.pixels else np.nan}
             for image, limit, each in zip(rendered.visibility, limits, drawn, strict=True)
         ]
-        measured[LIMIT_ERROR] = record.combined(away, drawn)["rmse"]
+        measured[LIMIT_ERROR] = combined(away, drawn)["rmse"]
     if batch.settings.figures:
         with stages.stage("figures"):
-            render_run.write_render(folder_of(config, render_run.SUFFIX), rendered, stages.seconds)
+            write_run(folder_of(config, SUFFIX), rendered, stages.seconds, "render")
     return {**measured, **_of_reference(drawn)}
 
 
@@ -241,7 +244,7 @@ def _measure_fit(config: Config, batch: Batch, stages: Stages) -> Measured:
     fitted = fit_technique(config, stages)
     if batch.settings.figures:
         with stages.stage("figures"):
-            write_fit(folder_of(config), fitted, stages.seconds)
+            write_run(folder_of(config), fitted, stages.seconds)
     return {
         **{f"{FITTED}{name}": value for name, value in fitted.result.fitted.items()},
         **{f"{when}.{name}": value for when, errors in fitted.errors.items() for name, value in errors.items()},
@@ -259,7 +262,7 @@ _MEASURES = {"render": _measure_render, "fit": _measure_fit}
 
 
 def _of_reference(drawn: list[Drawn]) -> Measured:
-    return {"reference_noise_floor": record.noise(drawn), "pixels": sum(each.pixels for each in drawn)}
+    return {"reference_noise_floor": noise(drawn), "pixels": sum(each.pixels for each in drawn)}
 
 
 def _draw(config: Config, stages: Stages) -> list[Drawn]:
@@ -278,7 +281,7 @@ def _flicker(frames: Sequence[Config], stages: Stages) -> float:
             truths = np.stack([each.reference.visibility for each in lights])
             masks = np.stack([each.mask for each in lights])
             found.append({"rmse": metrics.flicker(images, truths, masks)})
-        return record.combined(found, drawn[0])["rmse"]
+        return combined(found, drawn[0])["rmse"]
 
 
 def _limits(

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from ... import io
 from ...config import RESULT_FILE as RESULT
 from ...config import Config, ConfigError, Mistake
-from ._schema import read_json
+from ._files import read_json
 
 # What `write_whole` adds to a folder's name: a dot, a dash with a token, and the suffix of an older run.
 _TOKEN_BYTES = 6

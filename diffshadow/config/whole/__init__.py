@@ -1,1 +1,0 @@
-"""The whole configuration: all sections, and the checks across them."""

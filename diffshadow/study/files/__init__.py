@@ -1,1 +1,0 @@
-"""Run folders: writing them atomically, the schema of their files, and reading them."""

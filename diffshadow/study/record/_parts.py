@@ -1,0 +1,88 @@
+"""What records are made of: quantities with their ranges, and faults between keys."""
+
+import math
+from collections.abc import Mapping
+from typing import Annotated, Any, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from ...settings.quantities import MAX_TEXELS
+
+_LONGEST_SHOWN = 60
+DISAGREES = "disagrees"
+"""The type of a fault between keys."""
+SLACK = 1e-3
+"""How far rounding may move an error or a visibility out of its range."""
+
+Fraction = Annotated[float, Field(ge=-SLACK, le=1 + SLACK)]
+Similarity = Annotated[float, Field(ge=-1 - SLACK, le=1 + SLACK)]
+Positive = Annotated[float, Field(ge=0)]
+Count = Annotated[int, Field(ge=0, lt=2**63)]
+Seed = Annotated[int, Field(ge=0, lt=2**32)]
+Side = Annotated[int, Field(ge=1, le=MAX_TEXELS)]
+Seconds = Annotated[float, Field(ge=0, le=1e12)]
+# The range of float32, in which fits are computed.
+Single = Annotated[float, Field(ge=-3.4e38, le=3.4e38)]
+Numbers = dict[str, Single]
+
+
+def absent(default: Any = None) -> Any:
+    """The default of a key that is not written where it has this value."""
+    return Field(default=default, exclude_if=lambda value: value == default)
+
+
+class Part(BaseModel):
+    """A part of a record, as it is made, written to `result.json` and read again.
+
+    Values are not coerced, and every number is finite: one that is not becomes none. Unknown keys are ignored, since a
+    later version or a user may have added them.
+    """
+
+    model_config = ConfigDict(extra="ignore", strict=True, frozen=True, allow_inf_nan=False)
+
+    @classmethod
+    def of(cls, source: Any, **more: Any) -> Self:
+        """The part whose fields are those of `source` of the same names, and `more`."""
+        names = [name for name in cls.model_fields if name not in more and hasattr(source, name)]
+        return cls(**{name: getattr(source, name) for name in names}, **more)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _made_plain(cls, given: Any) -> Any:
+        # What `fit` found has parts of its own, which are tuples with names.
+        return plain(given._asdict() if hasattr(given, "_asdict") else given)
+
+
+def plain(value: Any) -> Any:
+    """`value` in a form that JSON can hold: non-finite numbers become none, and lone surrogates are escaped."""
+    if isinstance(value, Mapping):
+        return {plain(str(key)): plain(inner) for key, inner in value.items()}
+    # Of a tuple with names, a part is made.
+    if isinstance(value, list | tuple) and not hasattr(value, "_fields"):
+        return [plain(inner) for inner in value]
+    if isinstance(value, str):
+        # Python uses lone surrogates for bytes of paths that are not UTF-8.
+        return value.encode("utf-8", "backslashreplace").decode("utf-8")
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value
+
+
+def check_keys(key: str, numbers: Mapping[str, Any], of: str, expected: Mapping[str, Any]) -> None:
+    """**Raises** a fault unless `numbers`, which stand at `key`, have the keys of those that stand at `of`."""
+    if list(numbers) != list(expected):
+        theirs = short(", ".join(expected) or "nothing")
+        has = f"has the keys {short(', '.join(numbers) or 'nothing')}"
+        raise disagrees(key, has, f"the keys of {of}, {theirs}")
+
+
+def disagrees(key: str, given: str, expected: str) -> PydanticCustomError:
+    """A fault between keys: which key, what was given, and what was expected."""
+    words = {"key": key, "given": given, "expected": expected}
+    return PydanticCustomError(DISAGREES, "{key}: {given}; expected {expected}", words)
+
+
+def short(text: str) -> str:
+    """Text that is cut where it is too long for a sentence."""
+    return text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}…"
