@@ -7,7 +7,7 @@ from annotated_types import Len
 
 from ._settings import At, Form, Limits, Settings, Unit
 from .maps import SoftKernel, Width
-from .quantities import MAX_TEXELS, Coordinate, Distance, Factor, Size
+from .quantities import MAX_TEXELS, Coordinate, Distance, Factor, PixelPointCount, Size
 
 SolverName = Literal["levenberg_marquardt", "dogleg", "bfgs", "lbfgs", "adam"]
 Over = Literal["mean", "worst", "cvar"]
@@ -145,6 +145,12 @@ class Sureness(Settings):
 
 class Fit(Search, Sureness):
     """How a fit searches, and what it reports."""
+
+    points: Annotated[
+        PixelPointCount | None,
+        "where lights or meshes move: points within each pixel at which shadows are looked up; default: more where "
+        "texels are narrower than pixels",
+    ] = None
 
 
 class ShapePhase(Settings):

@@ -7,9 +7,9 @@ import pytest
 from rich.console import Console
 
 from diffshadow import fit, io, study
-from diffshadow.config import CONFIG_FILE, ConfigError, build_fit, load_config, parse_config
+from diffshadow.config import CONFIG_FILE, ConfigError, build_fit, build_scene, load_config, parse_config
 from diffshadow.study.runs._check import check
-from diffshadow.study.runs._picture import picture_plan
+from diffshadow.study.runs._picture import picture_plan, picture_problem
 from diffshadow.study.runs._progress import Stages
 
 TINY = """
@@ -41,6 +41,18 @@ def mistakes(*overrides):
     with pytest.raises(ConfigError) as caught:
         build_fit(config(*overrides))
     return str(caught.value)
+
+
+@pytest.mark.parametrize(("given", "of_pictures", "of_shadows"), [((), 8, 8), (("fit.points=2",), 2, 2)])
+def test_points_within_pixels_reach_the_problems(given, of_pictures, of_shadows):
+    """By default, since a texel is half a pixel wide."""
+    problem, _ = picture_problem(config(*given), Stages.quiet())
+    assert problem.shadow_points == of_pictures
+    parameters = "fit.parameters={scene.light.azimuth: {lower: 30, upper: 90}}"
+    traced = config("reference={type: traced, samples: 1}", parameters, *given)
+    scene = build_scene(traced)
+    (problem,) = study.pose_problems(traced, build_fit(traced, scene), scene)
+    assert problem.shadow_points == of_shadows
 
 
 def test_every_number_of_a_picture_leads_to_its_place():

@@ -82,6 +82,7 @@ def picture_problem(config: Config, stages: Stages) -> tuple[fit.PictureProblem,
         encoding=encoding,
         arrangement=plan.arrangement,
         surface=None if moves else raster.draw_antialiased(scene.mesh, scene.camera),
+        points=plan.points,
     )
     return problem, planned
 

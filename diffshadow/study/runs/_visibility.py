@@ -57,6 +57,7 @@ def problems_of(plan: FitPlan, scene: Scene, drawn: Sequence[Drawn]) -> list[fit
             light=i,
             arrangement=plan.arrangement,
             surface=None if moves else each.surface,
+            points=plan.points,
         )
         for i, each in enumerate(drawn)
     ]
