@@ -19,7 +19,7 @@ from ..sections._config import Config
 from ..sections._fit import ShapeConfig
 from ..sections._scene import DirectionalLightConfig
 from ..sections._section import changed
-from ._scene import Stage, light_on
+from ._scene import Surroundings, light_on
 from ._scene import blame as blame_of
 
 Blame = Callable[[KeyPath], AbstractContextManager[None]]
@@ -276,7 +276,9 @@ def _screen(
     half = extent / 2
     with blame(key):
         around = _ball(middle, half)
-        light = _hard(light_on(_framed(section), Stage(around, around, middle, half, geometry.WORLD)), section, half)
+        light = _hard(
+            light_on(_framed(section), Surroundings(around, around, middle, half, geometry.WORLD)), section, half
+        )
         position = getattr(light, "position", None)
         way, distance = np.asarray(getattr(light, "direction", np.zeros(3)), np.float64), np.inf
         if position is not None:

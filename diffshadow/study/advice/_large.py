@@ -16,7 +16,7 @@ from .._drawn import Drawn
 from ..pages import _table as table
 from ..runs._engine import bias_of_a_texel, lit_by
 from ..runs._measure import combined, measured
-from ..runs._progress import Stages
+from ..runs._progress import Progress
 from ..runs._setup import load, visibility_of
 from ..runs._views import draw_views
 
@@ -46,25 +46,25 @@ class _Asking(NamedTuple):
 
 def large_biases(config: Config, noise: float) -> Iterator[str]:
     """A sentence for each bias of the fitted `config` that is far larger than usual; `noise` is the reference's."""
-    stages = Stages(Console(quiet=True))
+    progress = Progress(Console(quiet=True))
     for name in (*_OF_MAPS, _OF_ENGINES):
-        if name in config.fit.parameters and (one := _of_a_texel(config, name, stages)):
+        if name in config.fit.parameters and (one := _of_a_texel(config, name, progress)):
             value = config.initial(name)
             if value / one > _LARGE:
-                yield _explained(config, name, value, one, noise, stages)
+                yield _explained(config, name, value, one, noise, progress)
 
 
-def _of_a_texel(config: Config, name: str, stages: Stages) -> float | None:
+def _of_a_texel(config: Config, name: str, progress: Progress) -> float | None:
     """The value of a bias of one texel; none if that is not known."""
     if name != _OF_ENGINES and (name == "bias.normal_offset" or config.bias.unit == "texels"):
         return 1.0
-    lit = lit_by(config.views[0].config if config.views else config, stages)
+    lit = lit_by(config.views[0].config if config.views else config, progress)
     return bias_of_a_texel(config.technique, lit) if name == _OF_ENGINES else lit[0].depth_per_texel
 
 
-def _explained(config: Config, name: str, value: float, one: float, noise: float, stages: Stages) -> str:
+def _explained(config: Config, name: str, value: float, one: float, noise: float, progress: Progress) -> str:
     technique = build_technique(config, fitting=False)
-    views = draw_views(config, load(config, stages), technique, stages)
+    views = draw_views(config, load(config, progress), technique, progress)
     drawn = [each for view in views.validation or views.fitted for each in view.drawn]
 
     def at(value: float) -> tuple[list[HostArray], dict[str, float]]:

@@ -15,7 +15,7 @@ from ..record._sweeps import LeastBias, Load, Times
 from ..remarks._verdict import unexplained_verdict
 from ..runs._explained import fitted_images, unexplained
 from ..runs._measure import combined, measured
-from ..runs._progress import Stages
+from ..runs._progress import Progress
 from ..runs._setup import load, visibility_of
 from ..runs._views import draw_views
 from ._times import Watch, times_of, unevenness_of
@@ -39,7 +39,7 @@ def measure_times(
     **Returns** the times, and how busy the machine was.
     """
     first = configs[0].views[0].config if configs[0].views else configs[0]
-    scene = load(first, Stages(Console(quiet=True))).scene
+    scene = load(first, Progress(Console(quiet=True))).scene
     surface = jax.block_until_ready(raster.draw_surface(scene.mesh, scene.camera))
     lit = [scene.lit_by(i) for i in range(len(scene.lights))]
 
@@ -77,9 +77,9 @@ def _program_of(technique: Any) -> Hashable:
 
 def unexplained_by(config: Config) -> list[str]:
     """What to say first of a fitted technique that does not explain its references; empty if it explains them."""
-    stages = Stages(Console(quiet=True))
+    progress = Progress(Console(quiet=True))
     technique = build_technique(config, fitting=False)
-    views = draw_views(config, load(config, stages), technique, stages)
+    views = draw_views(config, load(config, progress), technique, progress)
     drawn = views.drawn[: views.seen]
     found = unexplained(fitted_images(views, drawn, [visibility_of(technique, each) for each in drawn], drawn))
     if found is None:
@@ -100,9 +100,9 @@ def least_bias_for(config: Config, name: str, most: float) -> LeastBias:
     - `config`: of the fitted technique.
     - `name`: a number of the bias, such as `"bias.constant"`.
     """
-    stages = Stages(Console(quiet=True))
+    progress = Progress(Console(quiet=True))
     technique = build_technique(config, fitting=False)
-    views = draw_views(config, load(config, stages), technique, stages)
+    views = draw_views(config, load(config, progress), technique, progress)
     drawn = [each for view in views.validation or views.fitted for each in view.drawn]
     bounds = config.fit.parameters[name]
     # three.js' bias is negative.
