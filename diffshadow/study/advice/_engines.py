@@ -132,7 +132,7 @@ def engine_code(engine: EngineName, config: Config, filter_label: str) -> dict[s
 
     `filter_label` is the name of the technique's filter.
     """
-    shown = Progress(Console(quiet=True))
+    shown = Progress.quiet()
     first = config.views[0].config if config.views else config
     if engine in FORMULA_ENGINES:
         lit = lit_by(first, shown)

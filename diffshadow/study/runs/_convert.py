@@ -199,7 +199,7 @@ def _print_radius(config: Config, lit: Lit, plain: PlainBias, console: Console) 
 def _casting(technique: AbstractTechnique, config: Config) -> str:
     """Which faces have to cast in the other engine, too."""
     if isinstance(config.technique, Engine):
-        scene = load(config, Progress(Console(quiet=True))).scene
+        scene = load(config, Progress.quiet()).scene
         sides = {side for side in technique.casting_sides(scene) if side is not None}
         if len(sides) == 1:
             return f"{FACES[sides.pop()]}, as in {config.technique.type}"

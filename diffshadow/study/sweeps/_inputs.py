@@ -14,8 +14,6 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rich.console import Console
-
 from ... import io
 from ...config import Config, input_files, user_modules
 from ...reference import KeyedScene
@@ -118,7 +116,7 @@ class Sender:
         """The scenes of `config`, built again only if it has another scene than the last."""
         text = json.dumps(config.model_dump(mode="json", warnings=False, include={"scene"}))
         if self._scene is None or self._scene[0] != text:
-            self._scene = text, keyed_scenes(config, Progress(Console(quiet=True)))
+            self._scene = text, keyed_scenes(config, Progress.quiet())
         return self._scene[1]
 
     def _upload(self, module: Path) -> None:

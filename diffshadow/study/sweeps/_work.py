@@ -16,7 +16,6 @@ import jax
 import numpy as np
 from jaxtyping import Float32
 from pydantic import ValidationError
-from rich.console import Console
 
 from ... import io, metrics, reference
 from ..._types import HostArray
@@ -61,7 +60,6 @@ _LIMIT = {"pattern": "sobol", "early_out": False}
 _LIMIT_SEED = 0x11317
 
 # Making one takes half a millisecond.
-_QUIET = Console(quiet=True)
 
 Measured = dict[str, float | int | None]
 
@@ -207,9 +205,11 @@ def do(batch: Batch, run: SweepRun) -> Outcome:
     """
     started = time.perf_counter()
     _limit_programs(batch.shape)
-    progress = Progress(_QUIET)
+    progress = Progress.quiet()
     try:
-        config = _with_figures(batch, run) if batch.settings.figures else run.config
+        config = run.config
+        if batch.settings.figures:
+            config = config.model_copy(update={"output": str(Path(batch.folder) / FIGURES), "name": run.id})
         measured = _MEASURES[batch.settings.run](config, batch, progress)
         if run.frames:
             measured[FLICKER] = _flicker(run.frames, progress)
@@ -303,11 +303,6 @@ def _limits(
 
     with progress.stage("limit"):
         return _kept(("limit", key), compute)
-
-
-def _with_figures(batch: Batch, run: SweepRun) -> Config:
-    """The configuration of a run that also writes figures, with a folder for them."""
-    return run.config.model_copy(update={"output": str(Path(batch.folder) / FIGURES), "name": run.id})
 
 
 _memory: OrderedDict[tuple[str, str], Any] = OrderedDict()
