@@ -10,7 +10,6 @@ from ._errors import Location as Location
 from ._errors import Mistake as Mistake
 from ._errors import printable as printable
 from .reading._advise import Advice, load_advice
-from .reading._advise import AdvisedTechnique as AdvisedTechnique
 from .reading._dump import Row as Row
 from .reading._dump import describe, dump, dump_resolved
 from .reading._files import input_files as input_files
@@ -26,7 +25,6 @@ from .reading._of_run import CONFIG_FILE as CONFIG_FILE
 from .reading._of_run import FITTED_FILE as FITTED_FILE
 from .reading._of_run import RECOMMENDED_FILE as RECOMMENDED_FILE
 from .reading._of_run import RESULT_FILE as RESULT_FILE
-from .reading._of_run import SettingsFile as SettingsFile
 from .reading._of_run import settings_file, with_fitted
 from .reading._sweep_runs import CheckProgress as CheckProgress
 from .reading._sweep_runs import Sweep, SweepRun, SweepRuns, load_sweep
