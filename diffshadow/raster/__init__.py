@@ -8,8 +8,6 @@ from ._depth_test import DepthTest
 from ._drawn_view import drawn_view as drawn_view
 from ._fixed import SUBPIXELS
 from ._fixed import at_steps as at_steps
-from ._grid_crossings import GridCrossings as GridCrossings
-from ._grid_crossings import count_crossings as count_crossings
 from ._grid_crossings import grid_crossings as grid_crossings
 from ._interpolate import Barycentrics, barycentrics, interpolate, interpolate_corners, interpolate_depth, visible_depth
 from ._interpolate import Rows as Rows

@@ -28,7 +28,7 @@ from ._drawn_view import drawn_view
 from ._interpolate import Points
 from ._plane_crossings import crossing_faces, plane_crossings
 from ._rasterize import NO_FACE
-from ._sides import Sides, adjoining
+from ._sides import Around, Sides, adjoining
 from ._surface import Surface, passes_at_points, surface_at_centres, surface_at_points
 from ._within_pixels import points_within_pixels
 
@@ -272,7 +272,8 @@ def _antialiased(
     behind = adjoining(fixed_view, fixed.segments.depth[:, 0], (height, width))
     pieces = Pieces.of(found, (height, width), most + max(most_crossings, 1), behind)
     fixed_pieces = lax.stop_gradient(pieces)
-    sides = Sides.of(fixed_pieces, fixed, fixed_view, fixed_clip, mesh.faces, edges, centres, seen.corners)
+    around = Around.of(fixed_pieces, fixed, fixed_view, fixed_clip, mesh.faces, edges, centres, seen.corners)
+    sides = Sides.of(fixed_pieces, fixed, around, centres.size)
     # Both sides, in whole rows.
     count = pieces.pixel.shape[0]
     in_rows = lambda values, fill: jnp.stack(

@@ -15,7 +15,7 @@ from ..reading._mistakes import mistakes_at
 from ..sections._config import Config
 from ..sections._fit import FitParameterConfig, preferences
 from ..sections._fitted import fit_units, fittable_of, is_pose
-from ._scene import StagedMeshes as StagedMeshes
+from ._scene import BuiltMeshes as BuiltMeshes
 from ._scene import at, blame, build_scene
 from ._scene import build_camera as build_camera
 from ._scene import build_lights as build_lights
