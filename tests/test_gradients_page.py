@@ -39,7 +39,7 @@ def central(function: Any, places: tuple[Any, ...], number: int, steps: Any) -> 
 
 def test_blocks_are_short():
     scene, *others = [block for block in BLOCKS if "torch" not in block]
-    assert len(others) == 6
+    assert len(others) == 7
     assert len(scene.splitlines()) <= MAX_LINES[0]
     assert max(sum(bool(line) for line in block.splitlines()) for block in others) <= MAX_LINES[1]
 
@@ -91,9 +91,17 @@ def test_gradients_by_vertices_and_suns_are_near_differences():
 
 
 @pytest.mark.exhaustive
+def test_points_within_pixels_bring_the_gradient_by_a_sun_near_differences():
+    names = names_after(7)
+    found, sun = names["by_sun"], names["sun"].direction
+    expected = central(jax.jit(names["light_with_points"]), (sun,), 0, (0.03, 0.03, 0.03))
+    assert np.linalg.norm(found - expected) < 0.15 * np.linalg.norm(expected)
+
+
+@pytest.mark.exhaustive
 def test_gradients_in_pytorch_are_those_of_differences_and_of_jax():
     torch = pytest.importorskip("torch")
-    names = names_after(8)
+    names = names_after(9)
     expected = float(jnp.mean(names["by_numbers"][0]))
     assert float(names["bias"].grad) == pytest.approx(expected, rel=1e-4)
     mean = names["to_torch"](lambda *numbers: jnp.mean(names["soft"](*numbers)))
@@ -109,7 +117,7 @@ def test_gradients_in_pytorch_are_those_of_differences_and_of_jax():
 
 @pytest.mark.exhaustive
 def test_gradients_of_the_picture_are_near_differences():
-    names = names_after(7)
+    names = names_after(8)
     # Of a picture that is darker to the left, so that it matters where the knot is.
     weights = np.linspace(0, 1, 64, dtype=np.float32)[:, None] / 64**2
     mean = jax.jit(lambda offset: jnp.sum(weights * names["picture"](offset)))

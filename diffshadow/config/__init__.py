@@ -10,7 +10,6 @@ from ._errors import Location as Location
 from ._errors import Mistake as Mistake
 from ._errors import printable as printable
 from .reading._advise import Advice, load_advice
-from .reading._advise import AdvisedTechnique as AdvisedTechnique
 from .reading._dump import Row as Row
 from .reading._dump import describe, dump, dump_resolved
 from .reading._files import input_files as input_files
@@ -26,9 +25,8 @@ from .reading._of_run import CONFIG_FILE as CONFIG_FILE
 from .reading._of_run import FITTED_FILE as FITTED_FILE
 from .reading._of_run import RECOMMENDED_FILE as RECOMMENDED_FILE
 from .reading._of_run import RESULT_FILE as RESULT_FILE
-from .reading._of_run import SettingsFile as SettingsFile
 from .reading._of_run import settings_file, with_fitted
-from .reading._sweep_runs import Progress as Progress
+from .reading._sweep_runs import CheckProgress as CheckProgress
 from .reading._sweep_runs import Sweep, SweepRun, SweepRuns, load_sweep
 from .reading._templates import DEFAULT_TEMPLATE as DEFAULT_TEMPLATE
 from .reading._templates import write_template as write_template
@@ -77,6 +75,7 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
+    from .building._modules import BuiltMeshes as BuiltMeshes
     from .building._modules import (
         FitPlan,
         ShapePlan,
@@ -90,14 +89,13 @@ if TYPE_CHECKING:
         build_technique,
     )
     from .building._modules import Screen as Screen
-    from .building._modules import StagedMeshes as StagedMeshes
     from .building._modules import build_camera as build_camera
     from .building._modules import build_lights as build_lights
     from .building._modules import build_meshes as build_meshes
 else:
 
     def __getattr__(name):
-        if not name.startswith("build_") and name not in ("FitPlan", "Screen", "ShapePlan", "StagedMeshes"):
+        if not name.startswith("build_") and name not in ("FitPlan", "Screen", "ShapePlan", "BuiltMeshes"):
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         from .building import _modules
 

@@ -125,31 +125,21 @@ class ShapeProgram:
 
         Memory is doubled when it is full. Before, while the fit goes on, a thread compiles the program for that.
         """
+        (_, count), _ = self.padding
+        padded = np.concatenate([vertices, np.broadcast_to(vertices[:1], (count - len(vertices), 3))])
+        views = self.groups, self.receivers, self.lights.poses(lights)
+        given = as_float(padded), level.faces, level.edges, *views, self.problem.technique, as_float(blur)
+        run = lambda crossings: compiled(evaluate, (*given, crossings))(*given, crossings)
         while True:
-            found = self.run(level, vertices, lights, blur, crossings)
+            found = run(crossings)
             needed = int(found.crossings)
             if needed > _NEARLY_FULL * crossings and self.more is None:
-                given = level, vertices, lights, blur, 2 * crossings
-                self.more = threading.Thread(target=self.run, args=given, daemon=True)
+                self.more = threading.Thread(target=run, args=(2 * crossings,), daemon=True)
                 self.more.start()
             if needed <= crossings:
                 return found, crossings
             self.join()
             self.more, crossings = None, 2 * crossings
-
-    def run(
-        self,
-        level: Level,
-        vertices: Float[HostArray, "v 3"],
-        lights: Float[HostArray, " l"],
-        blur: float,
-        crossings: int,
-    ) -> Evaluation:
-        (_, count), _ = self.padding
-        padded = np.concatenate([vertices, np.broadcast_to(vertices[:1], (count - len(vertices), 3))])
-        views = self.groups, self.receivers, self.lights.poses(lights)
-        given = as_float(padded), level.faces, level.edges, *views, self.problem.technique, as_float(blur)
-        return compiled(evaluate, (*given, crossings))(*given, crossings)
 
     def join(self) -> None:
         """Waits for the thread that compiles."""

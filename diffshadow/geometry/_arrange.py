@@ -44,12 +44,11 @@ class Wanted(NamedTuple):
 
 class Given(NamedTuple):
     """What a scene has: `light`, the place of its camera (eye, target), the camera's lens, which faces cast (f,), and
-    the direction that is up. `room_lens` is for a camera inside a room."""
+    the direction that is up."""
 
     light: FrameLight | None
     camera: tuple[Vector, Vector] | None
     lens: Lens
-    room_lens: Lens
     casts: Bool[HostArray, " f"]
     up: Vector
 
@@ -97,7 +96,7 @@ def arrange(corners: Corners, given: Given, wanted: Wanted) -> Arranged:
     if inside is not None:
         if wanted.light:
             lamp = world(lamp_in(inside)), _LAMP_RADIUS * (inside.ceiling - inside.floor)
-        framed = frame_inside(turned, inside, given.room_lens) if wanted.camera else None
+        framed = frame_inside(turned, inside) if wanted.camera else None
     else:
         scene = _scene(turned, given.casts)
         if wanted.light or light is None:

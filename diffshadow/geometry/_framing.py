@@ -179,7 +179,7 @@ def frame_outside(
     return best
 
 
-def frame_inside(corners: Corners, inside: Inside, lens: Lens) -> Framed:
+def frame_inside(corners: Corners, inside: Inside) -> Framed:
     """A camera in the corner of a room that is farthest from the middle, looking across it."""
     tall = inside.ceiling - inside.floor
     angles = np.arange(_AROUND) * 2 * np.pi / _AROUND

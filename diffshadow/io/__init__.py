@@ -4,7 +4,6 @@ from ._arrays import ArrayLayout as ArrayLayout
 from ._arrays import read_arrays as read_arrays
 from ._atomic import atomic_path
 from ._atomic import check_writable as check_writable
-from ._cache import CACHE_LIMIT as CACHE_LIMIT
 from ._cache import cache_folder, cache_size, clear_cache, keep_compiled_programs
 from ._cache import cache_key as cache_key
 from ._cache import cached_arrays as cached_arrays

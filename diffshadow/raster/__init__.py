@@ -8,8 +8,6 @@ from ._depth_test import DepthTest
 from ._drawn_view import drawn_view as drawn_view
 from ._fixed import SUBPIXELS
 from ._fixed import at_steps as at_steps
-from ._grid_crossings import GridCrossings as GridCrossings
-from ._grid_crossings import count_crossings as count_crossings
 from ._grid_crossings import grid_crossings as grid_crossings
 from ._interpolate import Barycentrics, barycentrics, interpolate, interpolate_corners, interpolate_depth, visible_depth
 from ._interpolate import Rows as Rows
@@ -23,6 +21,7 @@ from ._silhouettes import Silhouettes as Silhouettes
 from ._silhouettes import light_sides as light_sides
 from ._silhouettes import silhouettes_by_adjacency as silhouettes_by_adjacency
 from ._surface import Surface, draw_surface
+from ._within_pixels import PixelPoints, points_within_pixels
 
 __all__ = [
     "NO_FACE",
@@ -33,6 +32,7 @@ __all__ = [
     "Cull",
     "DepthTest",
     "Fragments",
+    "PixelPoints",
     "Surface",
     "barycentrics",
     "count_fragments",
@@ -42,6 +42,7 @@ __all__ = [
     "interpolate_corners",
     "interpolate_depth",
     "plan_antialiasing",
+    "points_within_pixels",
     "rasterize",
     "rasterize_depth",
     "visible_depth",

@@ -28,7 +28,7 @@ from ._drawn_view import drawn_view
 from ._interpolate import Points
 from ._plane_crossings import crossing_faces, plane_crossings
 from ._rasterize import NO_FACE
-from ._sides import Sides, adjoining
+from ._sides import Around, Sides, adjoining
 from ._surface import Surface, passes_at_points, surface_at_centres, surface_at_points
 from ._within_pixels import points_within_pixels
 
@@ -107,12 +107,9 @@ class AntialiasedSurface(eqx.Module):
         return jnp.concatenate([image, filled.reshape(rest, width, *image.shape[2:])])
 
     def with_points_within(self, camera: AbstractCamera, count: int) -> Surface:
-        """`surface`, and above it so many points within each pixel, from which `mean_within` makes a mean.
-
-        A shadow's outline is narrower than a pixel where the texels of its map are. At centres alone, few pixels see
-        it, and derivatives by where it is are far off.
-        """
-        within = points_within_pixels(self.centres, camera, count)
+        """`surface`, and above it so many points within each pixel (see `points_within_pixels`), from which
+        `mean_within` makes a mean."""
+        within = points_within_pixels(self.centres, camera, count).surface
         return jax.tree.map(lambda *parts: jnp.concatenate(parts), self.surface, within)
 
     def mean_within(self, values: Float[Array, "y w"], count: int) -> Float[Array, "H w"]:
@@ -275,7 +272,8 @@ def _antialiased(
     behind = adjoining(fixed_view, fixed.segments.depth[:, 0], (height, width))
     pieces = Pieces.of(found, (height, width), most + max(most_crossings, 1), behind)
     fixed_pieces = lax.stop_gradient(pieces)
-    sides = Sides.of(fixed_pieces, fixed, fixed_view, fixed_clip, mesh.faces, edges, centres, seen.corners)
+    around = Around.of(fixed_pieces, fixed, fixed_view, fixed_clip, mesh.faces, edges, centres, seen.corners)
+    sides = Sides.of(fixed_pieces, fixed, around, centres.size)
     # Both sides, in whole rows.
     count = pieces.pixel.shape[0]
     in_rows = lambda values, fill: jnp.stack(

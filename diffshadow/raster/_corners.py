@@ -11,29 +11,18 @@ from jaxtyping import Array, Float
 
 from .._arithmetic import as_array, is_traced
 from .._types import Faces, Resolution
-from ..geometry import Textures
-from ..settings import maps
-from ..settings.maps import Cull
-from ._depth_test import DepthTest
 from ._rasterize import Fragments, rasterize
 
 
 def rasterize_with_corners(
-    clip: Float[Array, "*l v 4"],
-    faces: Faces,
-    resolution: Resolution,
-    *,
-    cull: Cull = maps.ShadowMap.cull,
-    depth_test: DepthTest | None = None,
-    polygon_offset: Any = None,
-    alpha_test: Textures | None = None,
+    clip: Float[Array, "*l v 4"], faces: Faces, resolution: Resolution, **how: Any
 ) -> tuple[Fragments, Fragments]:
     """What pixels see at their centres, (h, w), and at their corners, (h + 1, w + 1), of each layer.
 
-    Both are views of one drawing, so that the rasterizer is compiled once. Arguments as for `rasterize`.
+    Both are views of one drawing, so that the rasterizer is compiled once. Arguments, also `how`, are as for
+    `rasterize`.
     """
     height, width = resolution
-    how = {"cull": cull, "depth_test": depth_test, "polygon_offset": polygon_offset, "alpha_test": alpha_test}
     if not is_traced((clip, faces)):
         # They share a program anyway, and need not be put together.
         draw = partial(rasterize, faces=faces, buffer=(height + 1, width + 1), **how)

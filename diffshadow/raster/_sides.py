@@ -31,30 +31,10 @@ class Sides(NamedTuple):
     in_sight: Bool[Array, " n"]
 
     @classmethod
-    def of(
-        cls,
-        pieces: Pieces,
-        found: Boundaries,
-        view: View,
-        clip: ClipVertices,
-        faces: Faces,
-        edges: Edges,
-        centres: FaceMap,
-        corners: Int[Array, "H W"],
-    ) -> "Sides":
-        """From what pixel centres and the corners of pixels see."""
-        around = _Around.of(pieces, found, view, clip, faces, edges, centres, corners)
-        left = around.left
-        # Rather a sample that is farther away than one of the same part of the mesh, or one beyond another piece.
-        across_wall = lambda at: jnp.sum(pieces.wall[:, :2] * at, axis=-1) + pieces.wall[:, 2]
-        is_beyond = across_wall(around.place) * across_wall(pieces.middle) < 0
-        behind_first = around.distance + jnp.where(around.is_beside, 4, 0) + jnp.where(is_beyond, 16, 0)
-        to_right, to_left = (
-            around.nearest(jnp.where(turn * around.aside > _CLEAR, behind_first, jnp.inf)) for turn in (1, -1)
-        )
-        # At a smooth silhouette, its own face is seen edge-on. One further in has the colour that moves with it.
-        own_first = around.distance + jnp.where(around.is_beside, 0, 4)
-        inside = around.nearest(jnp.where(around.aside < -_CLEAR, own_first, jnp.inf))
+    def of(cls, pieces: Pieces, found: Boundaries, around: "Around", pixels: int) -> "Sides":
+        """Of `pieces` of what was `found` in an image of so many `pixels`."""
+        left, centre = around.left, around.face[0]
+        to_right, to_left, inside = around.beside(pieces)
         crease_to = take(found.right, pieces.segment)
         is_crease = crease_to != NO_NEIGHBOUR
         # A mesh's outline may run back for a short way, within the outline of its nearer faces.
@@ -62,15 +42,14 @@ class Sides(NamedTuple):
         right = jnp.where(is_crease, crease_to, jnp.where(is_back, to_left.face, to_right.face))
         in_sight = jnp.where(is_back, to_left.is_behind, to_right.is_behind & (is_crease | ~to_right.is_beside))
         # Within the rasterizer's rounding, what the centre sees decides on which side of the line it lies.
-        centre = around.face[0]
         is_left = jnp.where(is_crease, centre == left, around.is_beside[0] ^ is_back)
         is_close = (jnp.abs(pieces.height) < _CLEAR) & (jnp.abs(pieces.beyond) > 0.25)
         is_wrong = is_close & (is_left != (pieces.height > 0)) & (~is_crease | (centre == left) | (centre == right))
         shaded = jnp.where(is_back, to_right.face, jnp.where(inside.is_beside, inside.face, left))
-        exists = pieces.pixel < centres.size
+        exists = pieces.pixel < pixels
         # Where a mesh stands on another, or nearly, one line is both a silhouette and a crossing. It counts once.
         touches = exists & ~is_crease & in_sight
-        touched = jnp.zeros(centres.size + 1, bool).at[pieces.pixel].max(touches)[pieces.pixel]
+        touched = jnp.zeros(pixels + 1, bool).at[pieces.pixel].max(touches)[pieces.pixel]
         in_sight = in_sight & ~(touched & take(found.crosses, pieces.segment))
         return cls(
             left=jnp.where(exists, jnp.where(is_crease, left, shaded), NO_FACE),
@@ -80,7 +59,7 @@ class Sides(NamedTuple):
         )
 
 
-class _Around(NamedTuple):
+class Around(NamedTuple):
     """What is seen around pieces (n,): at the centre of each one's pixel, and at its four corners.
 
     - `left`: (n,), the nearer of the faces whose edge the piece is.
@@ -108,7 +87,7 @@ class _Around(NamedTuple):
         edges: Edges,
         centres: FaceMap,
         corners: Int[Array, "H W"],
-    ) -> "_Around":
+    ) -> "Around":
         height, width = centres.shape
         pixel = jnp.minimum(pieces.pixel, height * width - 1)
         row, column = pixel // width, pixel % width
@@ -142,6 +121,17 @@ class _Around(NamedTuple):
             is_behind=samples.depth >= depth - slack,
         )
 
+    def beside(self, pieces: Pieces) -> tuple["_Sample", "_Sample", "_Sample"]:
+        """What is seen to the right of each piece, to its left, and farther inside of its own face."""
+        # Rather a sample that is farther away than one of the same part of the mesh, or one beyond another piece.
+        across_wall = lambda at: jnp.sum(pieces.wall[:, :2] * at, axis=-1) + pieces.wall[:, 2]
+        is_beyond = across_wall(self.place) * across_wall(pieces.middle) < 0
+        behind_first = self.distance + jnp.where(self.is_beside, 4, 0) + jnp.where(is_beyond, 16, 0)
+        right, left = (self.nearest(jnp.where(turn * self.aside > _CLEAR, behind_first, jnp.inf)) for turn in (1, -1))
+        # At a smooth silhouette, its own face is seen edge-on. One further in has the colour that moves with it.
+        own_first = self.distance + jnp.where(self.is_beside, 0, 4)
+        return right, left, self.nearest(jnp.where(self.aside < -_CLEAR, own_first, jnp.inf))
+
     def nearest(self, cost: Float[Array, "5 n"]) -> "_Sample":
         """Of each piece, the sample of the least cost."""
         chosen = jnp.argmin(cost, axis=0)[None]
@@ -150,7 +140,7 @@ class _Around(NamedTuple):
 
 
 class _Sample(NamedTuple):
-    """For each piece, the nearest place on one side where the face that is seen is known; fields as in `_Around`."""
+    """For each piece, the nearest place on one side where the face that is seen is known; fields as in `Around`."""
 
     face: Int[Array, " n"]
     is_beside: Bool[Array, " n"]

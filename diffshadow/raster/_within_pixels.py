@@ -2,13 +2,17 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from .._arithmetic import dot, safe_norm
+from .._checks import check_value
 from .._types import VectorMap
 from ..geometry import AbstractCamera
+from ..settings.quantities import PixelPointCount
 from ._surface import Surface
 
 # Of a plane that makes a smaller angle with the direction to the camera, whose sine this is, only one point is known.
@@ -17,20 +21,52 @@ _STEEPEST = 0.03
 _GOLDEN = (1 + 5**0.5) / 2
 
 
-def points_within_pixels(surface: Surface, camera: AbstractCamera, count: int) -> Surface:
-    """So many points in each pixel of an image (h, w): a Fibonacci lattice, if `count` is a Fibonacci number.
+class PixelPoints(eqx.Module):
+    """Several points within each pixel of an image, from `points_within_pixels`.
 
-    No two points lie in one row or column of such a lattice, so that it sees narrow lines along these as often as
-    others. Normals and colours are those of the pixel's centre. So are points of planes that the camera sees nearly
-    edge-on.
-
-    **Returns:** an image of (h, w) for each point, one above the other, (count · h, w). Positions are differentiable.
+    - `surface`: (count · h, w), what is seen at them: an image (h, w) for each point, one above the other.
+    - `count`: of the points within a pixel.
     """
+
+    surface: Surface
+    count: int = eqx.field(static=True)
+
+    def mean(self, values: Float[Array, "H w *c"]) -> Float[Array, "h w *c"]:
+        """The mean over each pixel of values at all points, such as visibility."""
+        return jnp.mean(values.reshape(self.count, -1, *values.shape[1:]), axis=0)
+
+
+def points_within_pixels(surface: Surface, camera: AbstractCamera, count: int) -> PixelPoints:
+    """So many points in each pixel of `surface` (h, w), on the plane of the surface that the pixel's centre sees: a
+    Fibonacci lattice, if `count` is a Fibonacci number.
+
+    A shadow's outline may be narrower than a pixel. At centres alone few pixels see it, so that their mean and its
+    derivative by where the outline is are far off. No two points lie in one row or column of such a lattice, so that it
+    sees narrow lines along these as often as others. Normals and colours are those of the pixel's centre. So are points
+    of planes that the camera sees nearly edge-on. Positions are differentiable.
+
+    **Arguments:**
+
+    - `surface`: from `draw_surface` with the same `camera`.
+    - `count`: 1, 2, 3, 5, 8, 13 or 21 are lattices.
+
+    **Raises** `ValueError` if `count` is less than 1 or no whole number.
+
+    !!! Example
+
+        ```python
+        points = raster.points_within_pixels(surface, camera, 8)
+        points.mean(technique.visibility(shadow_map, points.surface)).shape  # (32, 32)
+        ```
+    """
+    check_value("the count of points", count, PixelPointCount)
+    if count == 1:
+        return PixelPoints(surface, 1)
     x = (np.arange(count) + 0.5) / count
     y = (np.arange(count) * round(count / _GOLDEN) % count + 0.5) / count
     each = [_moved(surface, camera, *place) for place in (np.stack([x, y], axis=1) - 0.5).tolist()]
     several = jax.tree.map(lambda values: jnp.concatenate([values] * count), surface)
-    return dataclasses.replace(several, position=jnp.concatenate(each))
+    return PixelPoints(dataclasses.replace(several, position=jnp.concatenate(each)), count)
 
 
 def _moved(surface: Surface, camera: AbstractCamera, x: float, y: float) -> VectorMap:

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Float64, Int
 from .._types import HostArray
 from ..geometry import Mesh
 from ._cutouts import barycentrics_of
-from ._rays import Hits, Rays, Triangles, hits_on_planes
+from ._rays import Hits, Rays, ShadowRays, Triangles, hits_on_planes
 from ._tracer import AbstractTracer
 
 _ROUNDING = 2.0**-24
@@ -91,14 +91,8 @@ class EmbreeTracer(AbstractTracer):
         # Rounded here, so that directions to near lights are computed from the ray's actual origin.
         return offset.astype(np.float32).astype(np.float64)
 
-    def occluded(
-        self,
-        origin: Float64[HostArray, "n 3"],
-        face: Int[HostArray, " n"],
-        which: Int[HostArray, " r"],
-        direction: Float[HostArray, "r 3"],
-        reach: float,
-    ) -> Bool[HostArray, " r"]:
+    def occluded(self, rays: ShadowRays) -> Bool[HostArray, " r"]:
+        origin, _, which, direction, reach = rays
         starts = np.take(origin.astype(np.float32), which, axis=0)
         if self._whole is None:
             hit = np.zeros(len(which), bool)
@@ -108,8 +102,8 @@ class EmbreeTracer(AbstractTracer):
             free = np.flatnonzero(~hit)
             towards = direction[free].astype(np.float64)
             length = np.linalg.norm(towards, axis=1)
-            rays = Rays(starts[free].astype(np.float64), towards / length[:, None], reach * length)
-            hit[free] = self._cut.closest(rays) >= 0
+            rest = Rays(starts[free].astype(np.float64), towards / length[:, None], reach * length)
+            hit[free] = self._cut.closest(rest) >= 0
         return hit
 
 

@@ -3,13 +3,13 @@
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Bool, Float, Float64, Int
+from jaxtyping import Bool, Float64, Int
 
 from .._types import HostArray
 from ..geometry import Scene
 from ..settings.reference import Blockers, Sampler
 from ..settings.reference import TracedReference as Settings
-from ._rays import Hits, Rays, Triangles
+from ._rays import Hits, Rays, ShadowRays, Triangles
 from ._reference import Reference
 from ._tracer import AbstractTracer
 from ._visibility import trace_with
@@ -46,14 +46,8 @@ class ExactTracer(AbstractTracer):
     def start(self, hits: Hits) -> Float64[HostArray, "n 3"]:
         return hits.position
 
-    def occluded(
-        self,
-        origin: Float64[HostArray, "n 3"],
-        face: Int[HostArray, " n"],
-        which: Int[HostArray, " r"],
-        direction: Float[HostArray, "r 3"],
-        reach: float,
-    ) -> Bool[HostArray, " r"]:
+    def occluded(self, rays: ShadowRays) -> Bool[HostArray, " r"]:
+        origin, face, which, direction, reach = rays
         hit = np.zeros(len(which), dtype=bool)
         for part in self._parts(len(which)):
             distance = self._distances(origin[which[part]], direction[part])

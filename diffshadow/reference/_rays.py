@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float64, Int
+from jaxtyping import Bool, Float, Float64, Int
 
 from .._arithmetic import in_float64
 from .._types import HostArray
@@ -76,6 +76,22 @@ class Rays(NamedTuple):
     origin: Float64[HostArray, "n 3"]
     direction: Float64[HostArray, "n 3"]
     reach: Float64[HostArray, " n"]
+
+
+class ShadowRays(NamedTuple):
+    """Rays from points of surfaces towards the light, in the tracing frame.
+
+    - `origin`: (n, 3), where rays begin; `face`: (n,), the faces of the scene's mesh that they begin on.
+    - `which`: (r,), the index of each ray's origin.
+    - `direction`: (r, 3), of any length.
+    - `reach`: the greatest distance of an occluder, in multiples of `direction`; may be infinite.
+    """
+
+    origin: Float64[HostArray, "n 3"]
+    face: Int[HostArray, " n"]
+    which: Int[HostArray, " r"]
+    direction: Float[HostArray, "r 3"]
+    reach: float
 
 
 class CameraRays:

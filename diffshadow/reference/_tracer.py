@@ -3,10 +3,10 @@
 import abc
 
 import numpy as np
-from jaxtyping import Bool, Float, Float64, Int
+from jaxtyping import Bool, Float64, Int
 
 from .._types import HostArray
-from ._rays import Hits, Rays
+from ._rays import Hits, Rays, ShadowRays
 
 
 class AbstractTracer(abc.ABC):
@@ -24,20 +24,5 @@ class AbstractTracer(abc.ABC):
         """The origins of shadow rays from `hits`, placed so as not to hit their own surface, (n, 3)."""
 
     @abc.abstractmethod
-    def occluded(
-        self,
-        origin: Float64[HostArray, "n 3"],
-        face: Int[HostArray, " n"],
-        which: Int[HostArray, " r"],
-        direction: Float[HostArray, "r 3"],
-        reach: float,
-    ) -> Bool[HostArray, " r"]:
-        """Whether shadow rays are occluded.
-
-        **Arguments:**
-
-        - `origin`: (n, 3), from `start`; `face`: (n,), the faces of the scene's mesh that rays start on.
-        - `which`: (r,), the index of each ray's origin.
-        - `direction`: (r, 3), of any length.
-        - `reach`: the greatest distance of an occluder, in multiples of `direction`; may be infinite.
-        """
+    def occluded(self, rays: ShadowRays) -> Bool[HostArray, " r"]:
+        """Whether shadow rays are occluded, (r,). They begin where `start` puts them."""

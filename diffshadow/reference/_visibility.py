@@ -18,7 +18,7 @@ from ..settings.reference import Blockers, Sampler
 from ..settings.reference import TracedReference as Settings
 from ._embree import EmbreeTracer
 from ._lamp import Lamp
-from ._rays import CameraRays, Hits, Rays, Triangles, hits_on_planes
+from ._rays import CameraRays, Hits, Rays, ShadowRays, Triangles, hits_on_planes
 from ._reference import Reference
 from ._sampling import LightSampler, check_sampling
 from ._tracer import AbstractTracer
@@ -302,7 +302,7 @@ class Job:
             which, direction = np.nonzero(above)[0], direction[above]
         hidden = np.zeros_like(above)
         if len(which):
-            hidden[above] = occluders.occluded(start, hits.face, which, direction, self.reach)
+            hidden[above] = occluders.occluded(ShadowRays(start, hits.face, which, direction, self.reach))
         return above, hidden
 
     def _standard_error(self, lit: Bool[HostArray, "n s"]) -> Float64[HostArray, " n"] | float:

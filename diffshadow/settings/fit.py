@@ -7,7 +7,7 @@ from annotated_types import Len
 
 from ._settings import At, Form, Limits, Settings, Unit
 from .maps import SoftKernel, Width
-from .quantities import MAX_TEXELS, Coordinate, Distance, Factor, Size
+from .quantities import MAX_TEXELS, Coordinate, Distance, Factor, PixelPointCount, Size
 
 SolverName = Literal["levenberg_marquardt", "dogleg", "bfgs", "lbfgs", "adam"]
 Over = Literal["mean", "worst", "cvar"]
@@ -19,7 +19,7 @@ PIXELS = 1 << 16
 BLUR = 3.0
 """The last standard deviation of a fit by default, in pixels."""
 MOST_SHADOW_POINTS = 1 << 20
-"""A fit to a picture looks up shadows at no more points within its pixels."""
+"""A fit of lights or meshes, or to a picture, looks up shadows at no more points within its pixels, by default."""
 # The largest standard deviation, as a fraction of the image's shorter side.
 _WIDEST = 1 / 8
 
@@ -145,6 +145,12 @@ class Sureness(Settings):
 
 class Fit(Search, Sureness):
     """How a fit searches, and what it reports."""
+
+    points: Annotated[
+        PixelPointCount | None,
+        "where lights or meshes move: points within each pixel at which shadows are looked up; default: more where "
+        "texels are narrower than pixels",
+    ] = None
 
 
 class ShapePhase(Settings):

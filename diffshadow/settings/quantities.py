@@ -53,3 +53,5 @@ Radiance = Annotated[
 ]
 _Side = Annotated[int, Limits(1, MAX_TEXELS)]
 Size = Annotated[tuple[_Side, _Side], Form("two whole numbers [height, width]", "[512, 512]")]
+PixelPointCount = Annotated[int, Limits(1, 1024)]
+"""How many points within a pixel shadows are looked up at."""

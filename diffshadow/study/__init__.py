@@ -15,12 +15,11 @@ from .runs._convert import convert
 from .runs._fit import fit_technique as fit_technique
 from .runs._fit import run_fit
 from .runs._picture import traced_picture as traced_picture
-from .runs._progress import Stages as Stages
+from .runs._progress import Progress as Progress
 from .runs._render import run_render
 from .runs._save import save_fit
 from .runs._setup import trace as trace
 from .runs._shape import shadow_on as shadow_on
-from .runs._shape import shape_problem as shape_problem
 from .runs._visibility import pose_problems as pose_problems
 
 __all__ = [

@@ -22,7 +22,7 @@ from jaxtyping import Array, Bool, UInt8
 
 from .. import geometry, raster, shadow
 from .._types import HostArray
-from ..config import Config, StagedMeshes, build_camera, build_lights, build_meshes, build_shading, changed, frozen
+from ..config import BuiltMeshes, Config, build_camera, build_lights, build_meshes, build_shading, changed, frozen
 from ._state import Look
 from ._subject import Subject
 
@@ -83,7 +83,7 @@ class Frame:
         self._camera = frozen(self.config.scene.camera)
         self._lights = [frozen(light) for light in self.config.scene.each_light.values()]
         self.light = min(look.light, len(self._lights) - 1)
-        self.staged: StagedMeshes = cache.meshes(self._meshes, lambda: build_meshes(self.config))
+        self.built: BuiltMeshes = cache.meshes(self._meshes, lambda: build_meshes(self.config))
         self.numbers = subject.numbers_of(self.config)
 
     @cached_property
@@ -99,7 +99,7 @@ class Frame:
     @property
     def lights(self) -> list[geometry.AbstractLight]:
         """All lights."""
-        return self.cache.lights((self._meshes, *self._lights), lambda: build_lights(self.config, self.staged))
+        return self.cache.lights((self._meshes, *self._lights), lambda: build_lights(self.config, self.built))
 
     @property
     def shading(self) -> Any:
@@ -109,7 +109,7 @@ class Frame:
 
     def scene(self, light: int) -> geometry.Scene:
         """The scene with one light."""
-        return self.staged.scene(self.config, self.camera, [self.lights[light]])
+        return self.built.scene(self.config, self.camera, [self.lights[light]])
 
     @property
     def surface(self) -> raster.Surface:
@@ -137,7 +137,7 @@ class Frame:
         if not self.subject.follows_camera:
             return self.technique.prepare(self.scene(light))
         full = self.subject.full_size
-        scene = self.staged.scene(self.config, self._camera_of(full), [self.lights[light]])
+        scene = self.built.scene(self.config, self._camera_of(full), [self.lights[light]])
         return self.technique.prepare(scene, self._surface_of(full))
 
     def visibility(self, light: int) -> Any:
@@ -166,7 +166,7 @@ class Frame:
 
     @property
     def _antialiased(self) -> raster.AntialiasedSurface:
-        draw = lambda: raster.draw_antialiased(geometry.merge(self.staged.meshes), self.camera)
+        draw = lambda: raster.draw_antialiased(geometry.merge(self.built.meshes), self.camera)
         return self.cache.antialiased(self._surface_key(self.size), draw)
 
     def from_light(self) -> Picture:
@@ -185,7 +185,7 @@ class Frame:
 
     def _camera_of(self, size: tuple[int, int]) -> geometry.AbstractCamera:
         scene = changed(self.config.scene, camera=changed(self.config.scene.camera, resolution=size))
-        make = lambda: build_camera(changed(self.config, scene=scene), self.staged)
+        make = lambda: build_camera(changed(self.config, scene=scene), self.built)
         return self.cache.camera(self._surface_key(size), make)
 
     def _surface_key(self, size: tuple[int, int]) -> Hashable:
@@ -198,7 +198,7 @@ class Frame:
         # With the technique's buffer, it shares its program with the map.
         has_map = isinstance(self.technique, shadow.ShadowMapping)
         buffer = self.technique.layers.buffer(camera.resolution) if has_map else None
-        return raster.draw_surface(geometry.merge(self.staged.meshes), camera, buffer=buffer)
+        return raster.draw_surface(geometry.merge(self.built.meshes), camera, buffer=buffer)
 
 
 @eqx.filter_jit

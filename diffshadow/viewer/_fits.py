@@ -55,7 +55,7 @@ class Fit:
             self._thread.join()
 
     def _run(self, config: Config) -> None:
-        stages, names = _Stages(self), list(config.fit.parameters)
+        progress, names = _Progress(self), list(config.fit.parameters)
 
         def on_step(step: fit.Step) -> None:
             self.go_on()
@@ -63,7 +63,7 @@ class Fit:
             self._tell(step={"phase": step.phase, "error": max(step.loss, 0.0) ** 0.5}, values=values)
 
         try:
-            run = study.fit_technique(config, stages, on_step)
+            run = study.fit_technique(config, progress, on_step)
         except _StoppedError:
             self._tell(running=False, note="stopped; the sliders stand where it was")
         except Exception as error:
@@ -92,8 +92,8 @@ class _StoppedError(Exception):
     """The fit was stopped by a page."""
 
 
-class _Stages(study.Stages):
-    """Stages of a fit, whose names are also shown on the page."""
+class _Progress(study.Progress):
+    """Progress of a fit, whose stages are also shown on the page."""
 
     def __init__(self, fit: Fit):
         super().__init__(Console(quiet=True))

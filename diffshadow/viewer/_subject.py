@@ -14,9 +14,9 @@ from .. import fit, shadow
 from .._arithmetic import as_float
 from ..config import (
     REFERENCES,
+    BuiltMeshes,
     Config,
     ConfigError,
-    StagedMeshes,
     build_camera,
     build_lights,
     build_meshes,
@@ -55,9 +55,9 @@ class Subject:
     """
 
     def __init__(self, config: Config, ranges: Mapping[str, tuple[float, float]] | None = None):
-        staged = build_meshes(config)
-        config = _by_numbers(config, staged)
-        self.size = float(np.linalg.norm(np.ptp(staged.stage.points, axis=0)))
+        built = build_meshes(config)
+        config = _by_numbers(config, built)
+        self.size = float(np.linalg.norm(np.ptp(built.surroundings.points, axis=0)))
         self.sliders: dict[str, Slider] = sliders_of(config, self.size)
         for key, (low, high) in (ranges or {}).items():
             if key in self.sliders:
@@ -170,16 +170,16 @@ def at_most(size: tuple[int, int], pixels: int) -> tuple[int, int]:
     return max(1, int(height * factor)), max(1, int(width * factor))
 
 
-def _by_numbers(config: Config, staged: StagedMeshes) -> Config:
+def _by_numbers(config: Config, built: BuiltMeshes) -> Config:
     """`config` with its camera at a point, and directional lights by angles."""
-    camera = build_camera(config, staged)
+    camera = build_camera(config, built)
     eye, target = (
-        tuple((np.asarray(point, np.float64) + staged.stage.origin).round(_DIGITS).tolist())
+        tuple((np.asarray(point, np.float64) + built.surroundings.origin).round(_DIGITS).tolist())
         for point in (camera.eye, camera.target)
     )
     height = getattr(camera, "height", None)
     config = _seen_from(config, Camera(eye=eye, target=target, height=None if height is None else float(height)))
-    for key, light in zip(config.scene.each_light, build_lights(config, staged), strict=True):
+    for key, light in zip(config.scene.each_light, build_lights(config, built), strict=True):
         section = config.scene.each_light[key]
         if getattr(section, "direction", None) is not None:
             pose: Any = light.pose()

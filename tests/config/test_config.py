@@ -279,6 +279,9 @@ bias: {terms: {slope: 1}}↵fit: {parameters: {bias.terms.sine: {lower: 0, upper
     3: fit.parameters.bias.terms.sine: cannot be fitted with filter type 'random_disk'; expected bias.constant,
     bias.slope, bias.slope_least, bias.slope_most, bias.normal_offset, bias.terms.slope or filter.radius; did you mean
     'bias.terms.slope'?
+fit: {points: 3}
+    2: fit.points: is given, and nothing moves; expected a parameter of a light or mesh with it; remove the key, or add
+    a parameter of the scene, such as scene.light.azimuth
 fit: {parameters: {bias.constnat: {lower: 0, upper: 1}}}
     2: fit.parameters.bias.constnat: cannot be fitted with filter type 'random_disk'; expected bias.constant,
     bias.slope, bias.slope_least, bias.slope_most, bias.normal_offset or filter.radius; did you mean 'bias.constant'?

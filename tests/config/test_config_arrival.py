@@ -72,7 +72,19 @@ OF_SEVERAL = {
         "texture_filter",
     ),
     *("factors", "terms", "network", "plane", "attenuation", "distances", "shares"),
-    *("parameters", "solver", "anneal", "shape", "views", "validation", "loss", "prefer", "blurs", "multistart"),
+    *(
+        "parameters",
+        "solver",
+        "anneal",
+        "shape",
+        "views",
+        "validation",
+        "loss",
+        "prefer",
+        "blurs",
+        "points",
+        "multistart",
+    ),
 }
 # Values that their neighbours allow.
 FITTING: dict[str, Any] = {

@@ -9,6 +9,7 @@ import numpy as np
 from diffshadow import geometry, raster
 from diffshadow._arithmetic import normalize
 from diffshadow.geometry import CameraPose, Vector
+from diffshadow.raster import points_within_pixels
 from diffshadow.raster._antialias import AntialiasedSurface, _antialiased, _boundaries, _edges_of, _Seen
 from diffshadow.raster._boundaries import Boundaries, Pieces
 from diffshadow.raster._drawn_view import drawn_view
@@ -16,7 +17,6 @@ from diffshadow.raster._interpolate import _depth_planes, _from_far
 from diffshadow.raster._plane_crossings import plane_crossings
 from diffshadow.raster._segments import Segments
 from diffshadow.raster._surface import surface_at_centres
-from diffshadow.raster._within_pixels import points_within_pixels
 
 from . import centres, faces_at, numbers, row, surface_of
 
@@ -189,7 +189,11 @@ def _():
     return of
 
 
-@row("points within pixels", [0.3, 0.5, 2.6, 4.0, -7.0, 9.0, 0.4, -0.2, 0.3])
+@row(
+    "points within pixels",
+    [0.3, 0.5, 2.6, 4.0, -7.0, 9.0, 0.4, -0.2, 0.3],
+    "raster.PixelPoints raster.points_within_pixels",
+)
 def _():
     start, normal = numbers(7, 2, 3, 3, low=-0.5, high=0.5), numbers(8, 2, 3, 3, low=0.2)
     own = dataclasses.replace(camera(), resolution=(2, 3))
@@ -198,7 +202,8 @@ def _():
         moved = own.at(CameraPose(Vector(*x[:3]), Vector(*x[3:6]), own.fov_y))
         unit = geometry.frame(jnp.asarray([0.0, 0.0, -1.0]), jnp.asarray([0.0, 1.0, 0.0]))
         surface = surface_of(start + x[6:], normal / jnp.linalg.norm(normal, axis=-1, keepdims=True) @ unit)
-        return points_within_pixels(surface, moved, 3).position
+        within = points_within_pixels(surface, moved, 3)
+        return within.surface.position, within.mean(jnp.sin(within.surface.position))
 
     return of
 

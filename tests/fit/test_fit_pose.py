@@ -52,7 +52,7 @@ from diffshadow.geometry import (
     crease_normals,
     merge,
 )
-from diffshadow.raster import draw_surface
+from diffshadow.raster import draw_surface, points_within_pixels
 from diffshadow.reference import reference_from_image, trace_visibility
 from diffshadow.shadow import Bias, Bilinear, Cascades, MapSettings, PerspectiveWarp, ShadowMapping, SingleMap
 
@@ -175,6 +175,26 @@ def test_traced_references_are_dark_outside_the_cone_and_images_are_left_alone()
     of = lambda truth: np.asarray(PoseProblem.of(scene, TECHNIQUE, truth, surface=surface).reference)
     np.testing.assert_allclose(of(traced), expected, atol=1e-6)
     np.testing.assert_array_equal(of(reference_from_image(expected, scene)), expected)
+
+
+def test_a_fit_of_poses_looks_up_shadows_all_over_its_pixels():
+    """At so many points as a pixel is wide in texels, and at the centre where texels are wide."""
+    camera = floor_camera(1.5, (32, 48))
+    scene = Scene([FLOOR, CARD], camera, LIGHTS["directional"])
+    truth = reference_from_image(np.full(camera.resolution, 0.5, np.float32), scene)
+    surface = draw_surface(scene.mesh, camera)
+    of = lambda texels, **given: PoseProblem.of(
+        scene, dataclasses.replace(TECHNIQUE, map=MapSettings((texels, texels))), truth, surface=surface, **given
+    )
+    counts = [of(texels).shadow_points for texels in (8, 64, 128, 1024)]
+    assert counts == sorted(counts)
+    assert (counts[0], counts[-1]) == (1, 21)
+    problem = of(64, points=3)
+    shadow_map, _ = problem.draw(problem.arrangement, raises=False)
+    points = points_within_pixels(surface, camera, 3)
+    expected = points.mean(TECHNIQUE.visibility(shadow_map, points.surface))
+    np.testing.assert_allclose(problem.image(shadow_map, surface, TECHNIQUE), expected, atol=1e-6)
+    assert np.abs(np.asarray(expected) - TECHNIQUE.visibility(shadow_map, surface)).max() > 0.05
 
 
 def test_the_noise_of_a_solver_is_that_of_the_problem_unless_it_is_given():

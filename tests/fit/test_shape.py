@@ -302,7 +302,7 @@ def test_the_whole_gradient_matches_differences():
         views = [ShapeView(*each, ellipse(0.5, 0.45, 96)) for each in seen]
         fit = programs.ShapeProgram(ShapeProblem(mesh, views))
         level = fit.level(points, faces, np.ones(len(points), bool))
-        at = lambda points: fit.run(level, points, fit.lights.start, 0.0, 2048)
+        at = lambda points: fit.evaluate(level, points, fit.lights.start, 0.0, 2048)[0]
         found, step = np.asarray(at(points).gradient)[: len(points)], 1e-3 * 2 / 96
         difference = np.zeros_like(found)
         for vertex, axis in zip(*np.nonzero(found), strict=True):

@@ -11,7 +11,6 @@ from diffshadow.geometry import _ground as ground
 from diffshadow.geometry._framing import sun_for
 
 LENS = geometry.Lens((math.tan(math.radians(20)),) * 2)
-WIDE = geometry.Lens((math.tan(math.radians(35)),) * 2)
 ALL = geometry.Wanted(True, True, True)
 UP_Y, UP_Z = np.array([0.0, 1, 0]), np.array([0.0, 0, 1])
 
@@ -56,7 +55,7 @@ SCENES = {
 
 
 def found_for(corners, up=UP_Y, camera=None, wanted=ALL):
-    return geometry.arrange(corners, geometry.Given(None, camera, LENS, WIDE, np.ones(len(corners), bool), up), wanted)
+    return geometry.arrange(corners, geometry.Given(None, camera, LENS, np.ones(len(corners), bool), up), wanted)
 
 
 def seen(points, camera, up):

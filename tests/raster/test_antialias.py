@@ -1,5 +1,6 @@
 """Antialiased surfaces: areas in closed form, pictures against supersampling, derivatives against differences."""
 
+import dataclasses
 import functools
 
 import equinox as eqx
@@ -21,10 +22,9 @@ from diffshadow.geometry import (
     rotation,
     translation,
 )
-from diffshadow.raster import AntialiasPlan, draw_antialiased, draw_surface, plan_antialiasing
+from diffshadow.raster import AntialiasPlan, draw_antialiased, draw_surface, plan_antialiasing, points_within_pixels
 from diffshadow.raster._antialias import _NEAR as NEAR
 from diffshadow.raster._boundaries import Boundaries, Pieces, find_creases
-from diffshadow.raster._within_pixels import points_within_pixels
 from diffshadow.shading import Phong
 
 SIDE = 48
@@ -280,10 +280,29 @@ def test_a_plan_that_is_too_small_is_an_error():
         jax.block_until_ready(colours(mesh.padded(), AntialiasPlan(planned.edges, planned.creases, 16, 256)))
 
 
+def test_means_over_points_within_pixels_are_those_of_finer_images():
+    """Of a wave that is shorter than a pixel, on the ground."""
+    mesh, camera = quad((-9, 0, -9), (18, 0, 0), (0, 0, 18)), view()
+    wave = lambda surface: np.where(surface.mask, np.sin(40 * np.asarray(surface.position)[..., 0]), 0)
+    coarse = draw_surface(mesh, camera)
+    fine = wave(draw_surface(mesh, dataclasses.replace(camera, resolution=(8 * SIDE, 8 * SIDE))))
+    truth = fine.reshape(SIDE, 8, SIDE, 8).mean(axis=(1, 3))
+    off = lambda image: np.sqrt(np.mean((np.asarray(image) - truth)[np.asarray(coarse.mask)] ** 2))
+    one, several = (points_within_pixels(coarse, camera, count) for count in (1, 13))
+    assert one.surface is coarse
+    assert off(several.mean(jnp.asarray(wave(several.surface)))) < 0.25 * off(one.mean(jnp.asarray(wave(coarse))))
+
+
+@pytest.mark.parametrize("count", [0, True])
+def test_a_count_of_points_is_a_whole_number(count):
+    with pytest.raises(ValueError, match=f"the count of points is {count}; expected a whole number at least 1"):
+        points_within_pixels(draw_surface(quad((-1, 0, 0), (2, 0, 0), (0, 2, 0)), FRONT), FRONT, count)
+
+
 def test_points_within_pixels_lie_in_them_and_on_what_is_seen_there():
     mesh, _ = scene("box")
     surface = draw_surface(mesh, view())
-    within = eqx.filter_jit(points_within_pixels)(surface, view(), 5)
+    within = eqx.filter_jit(points_within_pixels)(surface, view(), 5).surface
     moved = np.asarray(within.position).reshape(5, SIDE, SIDE, 3) - np.asarray(surface.position)
     np.testing.assert_allclose(np.sum(moved * np.asarray(surface.normal), axis=-1), 0, atol=1e-5)
     clip = np.c_[np.asarray(within.position).reshape(-1, 3), np.ones(5 * SIDE**2)] @ np.asarray(view().view().matrix).T

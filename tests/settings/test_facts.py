@@ -95,7 +95,7 @@ OTHERS = {
     ("io/scenes/_three_geometries.py", "radius"),
     ("io/scenes/_three_schema.py", "aspect"),
     ("shadow/kernels/_taps.py", "radius"),
-    ("study/files/_schema_of_runs.py", "blur"),
+    ("study/record/_runs.py", "blur"),
 }
 
 

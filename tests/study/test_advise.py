@@ -24,7 +24,7 @@ from diffshadow.study.advice._measure import least_bias_for, unexplained_by
 from diffshadow.study.advice._times import Watch, busy_remark, times_of, unevenness_of
 from diffshadow.study.advice._verdict import Findings, verdict
 from diffshadow.study.record._sweeps import Candidate, LeastBias, Load, Times
-from diffshadow.study.runs._progress import Stages
+from diffshadow.study.runs._progress import Progress
 from diffshadow.study.runs._setup import load
 from diffshadow.study.runs._views import draw_views
 
@@ -72,7 +72,7 @@ advise:
   resolutions: [[64, 64]]
 """
 )
-QUIET = Stages(Console(quiet=True))
+QUIET = Progress(Console(quiet=True))
 VALIDATION = "fit.validation={grid: {scene.light.azimuth: [30, 60]}}"
 
 
@@ -582,7 +582,7 @@ def quick(monkeypatch):
     """Fits and measurements that take no time: errors by the bias' name."""
     from diffshadow.study.sweeps import _work as work
 
-    def measure(config, batch, stages):
+    def measure(config, batch, progress):
         (name,) = config.fit.parameters
         errors = dict.fromkeys(("rmse", "mae", "ssim", "false_shadow_rate", "false_light_rate"), 0.25)
         whole = {f"{when}.{key}": value for when in ("before", "after") for key, value in errors.items()}
@@ -615,11 +615,11 @@ def test_bias_is_no_worse_than_its_special_cases(quick, monkeypatch):
 
     errors = {("bias.constant",): 0.1, ("bias.slope",): 0.3, ("bias.constant", "bias.slope"): 0.2}
 
-    def measure(config, batch, stages):
+    def measure(config, batch, progress):
         names = tuple(sorted(config.fit.parameters))
         alone = config.model_copy(update={"fit": config.fit.model_copy(update={"parameters": {names[0]: None}})})
         found = {f"fitted.{name}": 1.5 for name in names}
-        return {**quick(alone, batch, stages), **found, "after.rmse": errors[names], "after.mae": errors[names] / 2}
+        return {**quick(alone, batch, progress), **found, "after.rmse": errors[names], "after.mae": errors[names] / 2}
 
     monkeypatch.setitem(work._MEASURES, "fit", measure)
     both = "{label: both, bias: {constant: 1, slope: LEAST}, parameters: {bias.constant: {lower: 0, upper: 8}, "
@@ -651,10 +651,10 @@ def test_errors_are_those_of_the_validation_if_there_is_one(quick):
 def test_failed_fit_is_left_out_and_reported(quick, monkeypatch):
     from diffshadow.study.sweeps import _work as work
 
-    def ill(config, batch, stages):
+    def ill(config, batch, progress):
         if "bias.slope" in config.fit.parameters or all_fail:
             raise RuntimeError("out of luck")
-        return quick(config, batch, stages)
+        return quick(config, batch, progress)
 
     monkeypatch.setitem(work._MEASURES, "fit", ill)
     all_fail = True

@@ -21,7 +21,7 @@ from diffshadow.study.advice._engines import engine_code
 from diffshadow.study.advice._times import times_of
 from diffshadow.study.record._sweeps import Load
 from diffshadow.study.runs._engine import lit_by
-from diffshadow.study.runs._progress import Stages
+from diffshadow.study.runs._progress import Progress
 from diffshadow.study.sweeps._pace import Pace, saying_how_long
 
 pytestmark = pytest.mark.usefixtures("tiny_figures")
@@ -87,7 +87,7 @@ def test_bounds_of_an_engines_bias_follow_from_the_scene():
     near, far = (advice("three.js", f"scene.meshes.{i}.scale={s}") for i, s in ((0, 1), (0, 4)))
     bounds = [each.sweep.runs[0].config.fit.parameters["technique.bias"] for each in (near, far)]
     config = load_config("a.yaml")
-    (lit,) = lit_by(config, Stages(QUIET))
+    (lit,) = lit_by(config, Progress(QUIET))
     assert bounds[0].lower == pytest.approx(-32 * lit.depth_per_texel)
     assert bounds[1].lower != pytest.approx(bounds[0].lower, rel=0.05)
 
@@ -131,7 +131,7 @@ def quick(monkeypatch):
     """Fits and measurements that take no time. The second bias with the last filter is the best."""
     from diffshadow.study.sweeps import _work as work
 
-    def measure(config, batch, stages):
+    def measure(config, batch, progress):
         errors = dict.fromkeys(("rmse", "mae", "ssim", "false_shadow_rate", "false_light_rate"), 0.25)
         whole = {f"{when}.{key}": value for when in ("before", "after") for key, value in errors.items()}
         fitted = {f"fitted.{name}": config.initial(name) for name in config.fit.parameters}
@@ -225,7 +225,7 @@ def test_code_of_a_formula_has_the_engines_units(engine):
     both, rule = advice(engine).sweep.runs[-1].config, ENGINE_RULES[engine]
     assert both.shadow_map.polygon_offset == POLYGON_OFFSETS.get(engine)
     code = engine_code(engine, both, filters[-1])["scene.light"]
-    (lit,) = lit_by(both, Stages(QUIET))
+    (lit,) = lit_by(both, Progress(QUIET))
     shift, depth = rule.constant * lit.texel, lit.texel / lit.depth_per_texel
     expected = {
         # A radius of 3 texels is a blur of 1, and divides the bias by 3.

@@ -7,10 +7,10 @@ import pytest
 from rich.console import Console
 
 from diffshadow import fit, io, study
-from diffshadow.config import CONFIG_FILE, ConfigError, build_fit, load_config, parse_config
+from diffshadow.config import CONFIG_FILE, ConfigError, build_fit, build_scene, load_config, parse_config
 from diffshadow.study.runs._check import check
-from diffshadow.study.runs._picture import picture_plan
-from diffshadow.study.runs._progress import Stages
+from diffshadow.study.runs._picture import picture_plan, picture_problem
+from diffshadow.study.runs._progress import Progress
 
 TINY = """
 name: tiny
@@ -41,6 +41,18 @@ def mistakes(*overrides):
     with pytest.raises(ConfigError) as caught:
         build_fit(config(*overrides))
     return str(caught.value)
+
+
+@pytest.mark.parametrize(("given", "of_pictures", "of_shadows"), [((), 8, 8), (("fit.points=2",), 2, 2)])
+def test_points_within_pixels_reach_the_problems(given, of_pictures, of_shadows):
+    """By default, since a texel is half a pixel wide."""
+    problem, _ = picture_problem(config(*given), Progress.quiet())
+    assert problem.shadow_points == of_pictures
+    parameters = "fit.parameters={scene.light.azimuth: {lower: 30, upper: 90}}"
+    traced = config("reference={type: traced, samples: 1}", parameters, *given)
+    scene = build_scene(traced)
+    (problem,) = study.pose_problems(traced, build_fit(traced, scene), scene)
+    assert problem.shadow_points == of_shadows
 
 
 def test_every_number_of_a_picture_leads_to_its_place():
@@ -136,15 +148,15 @@ def test_pictures_of_other_sizes_and_masks_without_pixels_are_reported(tmp_path)
         ("picture.npy", "none.png", "has no pixel above 0.5"),
     ):
         given = [f"reference.path={tmp_path / path}", *([f"reference.mask={tmp_path / mask}"] if mask else [])]
-        with Stages(QUIET) as stages, pytest.raises(ConfigError) as caught:
-            picture_plan(config(*given), stages)
+        with Progress(QUIET) as progress, pytest.raises(ConfigError) as caught:
+            picture_plan(config(*given), progress)
         assert said in str(caught.value)
     assert "there is no file" in mistakes("reference.path=missing.png")
 
 
 def test_devices_that_are_not_there_are_reported_before_anything_is_drawn():
-    with Stages(QUIET) as stages, pytest.raises(ConfigError, match=r"fit\.devices: devices is 400, and JAX sees"):
-        picture_plan(config("fit.devices=400"), stages)
+    with Progress(QUIET) as progress, pytest.raises(ConfigError, match=r"fit\.devices: devices is 400, and JAX sees"):
+        picture_plan(config("fit.devices=400"), progress)
 
 
 def test_a_photograph_has_no_truth(tmp_path):

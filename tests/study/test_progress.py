@@ -4,7 +4,7 @@ import pytest
 from rich.console import Console
 
 from diffshadow.study.runs import _progress
-from diffshadow.study.runs._progress import Stages
+from diffshadow.study.runs._progress import Progress
 
 
 @pytest.mark.parametrize(
@@ -12,12 +12,12 @@ from diffshadow.study.runs._progress import Stages
 )
 def test_counted_items_say_how_long_the_rest_takes(pace, left, monkeypatch):
     now, said = 0.0, []
-    stages = Stages(Console(quiet=True))
+    progress = Progress(Console(quiet=True))
     monkeypatch.setattr(_progress.time, "perf_counter", lambda: now)
-    monkeypatch.setattr(stages._progress, "update", lambda task, **shown: said.append(shown["detail"]))
-    for item in stages.counted("view", "abcde"):
+    monkeypatch.setattr(progress._progress, "update", lambda task, **shown: said.append(shown["detail"]))
+    for item in progress.counted("view", "abcde"):
         # The first also compiles.
         now += 600.0 if item == "a" else pace
-        assert stages.part == said[-1]
-    assert stages.part == ""
+        assert progress.part == said[-1]
+    assert progress.part == ""
     assert said == [f"view {i} of 5{text}" for i, text in enumerate(["", "", *left], start=1)]

@@ -9,7 +9,7 @@ from rich.console import Console
 from diffshadow.config import build_scene, build_technique, parse_config
 from diffshadow.raster import draw_surface
 from diffshadow.study.remarks._scene import dark_scene, scene_remarks, side_remarks
-from diffshadow.study.runs._progress import Stages
+from diffshadow.study.runs._progress import Progress
 from diffshadow.study.runs._setup import draw, load
 
 SCENE = """
@@ -26,8 +26,8 @@ COLLINEAR = "v 0 0 0\nv 1 0 1\nv 3 0 3\nf 1 2 3\n"
 
 def remarks(mesh, folder, *overrides):
     config = parse_config(SCENE.format(mesh=mesh), overrides, folder=folder)
-    with Stages(Console(quiet=True)) as stages:
-        scene, messages, _ = load(config, stages)
+    with Progress(Console(quiet=True)) as progress:
+        scene, messages, _ = load(config, progress)
     surface = draw_surface(scene.mesh, scene.camera)
     return [*messages, *scene_remarks(config, build_technique(config), [scene], surface)]
 
@@ -204,8 +204,8 @@ def side_remarks_on(mesh, light, technique, folder):
     (folder / "open.obj").write_text(mesh)
     text = SIDES.format(mesh="open.obj", light=light, technique=f"{technique}}}")
     config = parse_config(text, folder=folder)
-    with Stages(Console(quiet=True)) as stages:
-        scene = load(config, stages).scene
+    with Progress(Console(quiet=True)) as progress:
+        scene = load(config, progress).scene
     return list(side_remarks(config, build_technique(config), [scene]))
 
 
@@ -236,7 +236,7 @@ def test_what_a_reference_says_of_its_pixels_is_remarked_on_once(tmp_path):
         SCENE.format(mesh="path: builtin:box, translate: [1, 0, 1]") + "reference: {type: image, path: reference.png}\n"
     )
     config = parse_config(text, folder=tmp_path)
-    with Stages(Console(quiet=True)) as stages:
-        (drawn,) = draw(config, load(config, stages), build_technique(config), stages)
+    with Progress(Console(quiet=True)) as progress:
+        (drawn,) = draw(config, load(config, progress), build_technique(config), progress)
     (remark,) = drawn.remarks
     assert remark.startswith(f"the image file {tmp_path / 'reference.png'} has the chunk iCCP")

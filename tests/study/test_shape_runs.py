@@ -19,7 +19,7 @@ from diffshadow.study.remarks._fit import shape_remarks
 from diffshadow.study.remarks._verdict import shape_verdict
 from diffshadow.study.runs import _turntable
 from diffshadow.study.runs._checkpoint import Checkpoint
-from diffshadow.study.runs._progress import Stages
+from diffshadow.study.runs._progress import Progress
 from diffshadow.study.runs._shape import shape_problem
 
 TINY = """
@@ -169,8 +169,8 @@ def test_damaged_checkpoints_are_ignored(tmp_path):
     ],
 )
 def test_shapes_that_cannot_be_fitted_are_refused(overrides, words):
-    with pytest.raises(ConfigError, match=words), Stages(QUIET) as stages:
-        shape_problem(config(*overrides), stages)
+    with pytest.raises(ConfigError, match=words), Progress(QUIET) as progress:
+        shape_problem(config(*overrides), progress)
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ from diffshadow.shadow import Bias, Nearest, ShadowMapping, SoftCompare, ThreeJs
 from diffshadow.study.runs import _convert, _engine
 from diffshadow.study.runs._engine import Lit
 from diffshadow.study.runs._measure import perceptual_error
-from diffshadow.study.runs._progress import Stages
+from diffshadow.study.runs._progress import Progress
 from diffshadow.study.runs._setup import Loaded, _traced, draw
 
 ROOT = Path(__file__).parents[2]
@@ -89,7 +89,7 @@ def test_reference_is_kept_by_all_that_it_depends_on(monkeypatch):
         "bias.constant=2",
     ):
         with pytest.raises(KeyFoundError):
-            _traced(tiny(override), scene, Stages(console()[0]))
+            _traced(tiny(override), scene, Progress(console()[0]))
     # Neither the name nor a bias changes it.
     assert keys[0] == keys[-1]
     assert len(set(keys)) == len(keys) - 1
@@ -175,7 +175,7 @@ def test_a_bias_that_engines_lack_is_fitted_instead(what, monkeypatch):
     class FittingError(Exception):
         pass
 
-    def fit_technique(config, stages):
+    def fit_technique(config, progress):
         assert config.technique.type == "three.js"
         assert config.technique.shadow_side == "double"
         assert sorted(config.fit.parameters) == ["technique.bias", "technique.normal_bias", "technique.radius"]
@@ -251,7 +251,7 @@ def test_stored_errors_and_steps_are_what_they_say(finished):
     with staying_in(home):
         config = load_config(folder / "config.yaml", [], fitting=True)
         scene, technique = build_scene(config), build_technique(config)
-        (drawn,) = draw(config, Loaded(scene), technique, Stages(console()[0]))
+        (drawn,) = draw(config, Loaded(scene), technique, Progress(console()[0]))
         truth = reference.trace_visibility(scene, 8, config.reference.sampler, config.seed)
     with np.load(folder / "arrays.npz") as stored:
         arrays = dict(stored)
@@ -545,7 +545,7 @@ def test_render_writes_its_images_beside_the_fit_s():
     # How large texels are on the screen, by definition.
     config = tiny()
     technique = build_technique(config, fitting=False)
-    (drawn,) = draw(config, Loaded(build_scene(config)), technique, Stages(console()[0]))
+    (drawn,) = draw(config, Loaded(build_scene(config)), technique, Progress(console()[0]))
     found = technique.aliasing(drawn.state, drawn.surface, drawn.scene.camera)
     (light,) = result["metrics"]["lights"]
     for part, extent in (("extent", found.extent), ("perspective", found.perspective_extent)):

@@ -15,7 +15,7 @@ from stored_runs import TINY
 
 from diffshadow import study
 from diffshadow.config import ConfigError, build_fittable, parse_config
-from diffshadow.study.runs._progress import Stages
+from diffshadow.study.runs._progress import Progress
 from diffshadow.study.runs._setup import draw, load
 from diffshadow.study.runs._views import draw_views
 from diffshadow.study.runs._visibility import spaced
@@ -125,14 +125,14 @@ def test_views_share_meshes_and_what_a_camera_sees_and_are_drawn_as_alone():
     cameras = ["{resolution: [64, 64], orbit: {distance: 3}}", "{resolution: [64, 64], orbit: {distance: 3.5}}"]
     grid = f"{{scene.camera: [{', '.join(cameras)}], scene.light.azimuth: [-150, -30]}}"
     config = parse_config(TINY, [f"fit.views={{grid: {grid}}}"], fitting=True)
-    stages, technique = Stages(Console(quiet=True)), build_fittable(config)
-    found = [view.drawn[0] for view in draw_views(config, load(config, stages), technique, stages).fitted]
+    progress, technique = Progress(Console(quiet=True)), build_fittable(config)
+    found = [view.drawn[0] for view in draw_views(config, load(config, progress), technique, progress).fitted]
     near, other, far, last = found
     assert near.surface is other.surface
     assert far.surface is last.surface
     assert len({id(mesh) for each in found for mesh in each.scene.meshes}) == 2
     for view, drawn in zip(config.views, found, strict=True):
-        (alone,) = draw(view.config, load(view.config, stages), build_fittable(view.config), stages)
+        (alone,) = draw(view.config, load(view.config, progress), build_fittable(view.config), progress)
         for one, own in ((drawn.surface, alone.surface), (drawn.state, alone.state), (drawn.scene, alone.scene)):
             for array, expected in zip(jax.tree.leaves(one), jax.tree.leaves(own), strict=True):
                 np.testing.assert_array_equal(array, expected)

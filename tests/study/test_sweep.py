@@ -424,7 +424,7 @@ def quick(finished, monkeypatch):
 
     done: list[str] = []
 
-    def measure(config, batch, stages):
+    def measure(config, batch, progress):
         done.append(next(run.id for run in batch.runs if run.config is config))
         return measured(config)
 
@@ -518,13 +518,13 @@ def test_error_against_the_limit_is_that_of_the_same_filter(finished, monkeypatc
     """Against the mean over 64 patterns of 1024 uniform taps, which is another estimate of the same integral."""
     from diffshadow.config import build_technique
     from diffshadow.study.runs import _setup as setup
-    from diffshadow.study.runs._progress import Stages
+    from diffshadow.study.runs._progress import Progress
 
     sweep, folder, _ = finished
     monkeypatch.setenv("DIFFSHADOW_CACHE", str(folder.parent.parent / "cache"))
-    config, stages = sweep.runs[2].config, Stages(Console(quiet=True))
+    config, progress = sweep.runs[2].config, Progress(Console(quiet=True))
     own = build_technique(config, fitting=False)
-    (drawn,) = setup.draw(config, setup.load(config, stages), own, stages)
+    (drawn,) = setup.draw(config, setup.load(config, progress), own, progress)
     many = config.filter.model_copy(update={"samples": 256, "pattern": "uniform"})
     of_seed = lambda s: build_technique(config.model_copy(update={"filter": many, "seed": s}), fitting=False)
     mean = np.mean([setup.visibility_of(of_seed(seed), drawn) for seed in range(64)], axis=0, dtype=np.float64)
@@ -625,8 +625,8 @@ def test_failed_run_stops_no_other_and_is_tried_again(quick, monkeypatch):
 
     sweep, well = load_sweep(Path("s.yaml")), sweep_work._MEASURES["render"]
 
-    def ill(config, batch, stages):
-        measured = well(config, batch, stages)
+    def ill(config, batch, progress):
+        measured = well(config, batch, progress)
         if config.seed == 1 and config.filter.radius == 1:
             raise RuntimeError("out of luck")
         return measured

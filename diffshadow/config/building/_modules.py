@@ -15,7 +15,7 @@ from ..reading._mistakes import mistakes_at
 from ..sections._config import Config
 from ..sections._fit import FitParameterConfig, preferences
 from ..sections._fitted import fit_units, fittable_of, is_pose
-from ._scene import StagedMeshes as StagedMeshes
+from ._scene import BuiltMeshes as BuiltMeshes
 from ._scene import at, blame, build_scene
 from ._scene import build_camera as build_camera
 from ._scene import build_lights as build_lights
@@ -36,6 +36,7 @@ class FitPlan:
     - `loss`: of the errors of all views and lights, a `fit.Loss` or a user's.
     - `arrangement`: technique, lights and meshes of the scene if lights or meshes are fitted; otherwise none.
     - `truth`: the scene's own values of fitted poses, by name, if the reference is traced.
+    - `points`: as for `fit.PoseProblem.of`.
     """
 
     parameters: list[fit.Parameter]
@@ -46,6 +47,7 @@ class FitPlan:
     sureness: fit.Sureness
     arrangement: fit.Arrangement | None
     truth: dict[str, float]
+    points: int | None
 
 
 def build_fit(config: Config, scene: geometry.Scene | None = None) -> FitPlan:
@@ -98,6 +100,7 @@ def build_fit(config: Config, scene: geometry.Scene | None = None) -> FitPlan:
         sureness=fit.Sureness(section.intervals, tuple(prefer.items()), section.tolerance, section.front),
         arrangement=arrangement,
         truth=truth,
+        points=section.points,
     )
 
 

@@ -33,7 +33,7 @@ _MARGIN = 0.01
 _MIN_NEAR = 1e-3
 
 
-class Stage(NamedTuple):
+class Surroundings(NamedTuple):
     """What cameras and lights are placed relative to: all points (n, 3), the casters' points (m, 3), and the first
     mesh's centre and radius. All are counted from `origin`, a point of the world."""
 
@@ -52,21 +52,21 @@ class Stage(NamedTuple):
         return geometry.orbit_eye(as_float(self.middle), distance * self.radius, azimuth, elevation)
 
 
-def stage_of(
+def surroundings_of(
     whole: geometry.Mesh, casters: geometry.Mesh, first: geometry.Mesh, origin: geometry.Origin = geometry.WORLD
-) -> Stage:
+) -> Surroundings:
     used = lambda mesh: np.asarray(mesh.vertices)[np.unique(mesh.faces)]
     corners = used(first)
     middle = np.asarray(first.bounds).mean(axis=0)
     radius = float(np.linalg.norm(corners - middle, axis=-1).max())
-    return Stage(used(whole), used(casters), middle, radius, origin)
+    return Surroundings(used(whole), used(casters), middle, radius, origin)
 
 
-class StagedMeshes(NamedTuple):
-    """The meshes of a configuration, and the stage that its camera and its lights are placed on."""
+class BuiltMeshes(NamedTuple):
+    """The meshes of a configuration, and the surroundings of its camera and its lights."""
 
     meshes: list[geometry.Mesh]
-    stage: Stage
+    surroundings: Surroundings
 
     def scene(
         self, config: Config, camera: geometry.AbstractCamera, lights: Sequence[geometry.AbstractLight]
@@ -74,7 +74,7 @@ class StagedMeshes(NamedTuple):
         """The scene of `config` with this `camera` and these `lights`."""
         casts = tuple(mesh.casts for mesh in config.scene.meshes)
         receives = tuple(mesh.receives for mesh in config.scene.meshes)
-        return geometry.Scene(self.meshes, camera, lights, casts, receives, self.stage.origin)
+        return geometry.Scene(self.meshes, camera, lights, casts, receives, self.surroundings.origin)
 
 
 @contextmanager
@@ -97,10 +97,10 @@ def at(config: Config, path: KeyPath) -> tuple[Location, str]:
     return config.origin.place(path), dotted(path)
 
 
-def build_scene(config: Config, staged: StagedMeshes | None = None) -> geometry.Scene:
+def build_scene(config: Config, built: BuiltMeshes | None = None) -> geometry.Scene:
     """The scene of `config`: its meshes, its camera and its lights, all counted from the scene's origin.
 
-    **Arguments:** `staged`: the meshes of `config`, if `build_meshes` has made them before.
+    **Arguments:** `built`: the meshes of `config`, if `build_meshes` has made them before.
 
     Warns with `io.MeshWarning` about contents of mesh files other than triangles.
 
@@ -114,11 +114,11 @@ def build_scene(config: Config, staged: StagedMeshes | None = None) -> geometry.
         config.build_scene(settings).camera.resolution  # (32, 32)
         ```
     """
-    staged = build_meshes(config) if staged is None else staged
-    return staged.scene(config, build_camera(config, staged), build_lights(config, staged))
+    built = build_meshes(config) if built is None else built
+    return built.scene(config, build_camera(config, built), build_lights(config, built))
 
 
-def build_meshes(config: Config) -> StagedMeshes:
+def build_meshes(config: Config) -> BuiltMeshes:
     """The meshes of `config`, and what its camera and its lights are placed relative to.
 
     **Raises** `ConfigError` as `build_scene` does.
@@ -129,27 +129,27 @@ def build_meshes(config: Config) -> StagedMeshes:
     _check_closed(config, meshes)
     casts = [mesh.casts for mesh in config.scene.meshes]
     casters = geometry.merge([mesh for mesh, does in zip(meshes, casts, strict=True) if does])
-    return StagedMeshes(meshes, stage_of(geometry.merge(meshes), casters, meshes[0], origin))
+    return BuiltMeshes(meshes, surroundings_of(geometry.merge(meshes), casters, meshes[0], origin))
 
 
-def build_camera(config: Config, staged: StagedMeshes) -> geometry.AbstractCamera:
+def build_camera(config: Config, built: BuiltMeshes) -> geometry.AbstractCamera:
     """The camera of `config`.
 
     **Raises** `ConfigError` if it cannot be made.
     """
-    with blame(config, ("scene", "camera"), staged.stage.origin):
-        return camera_on(config.scene.camera, staged.stage)
+    with blame(config, ("scene", "camera"), built.surroundings.origin):
+        return camera_on(config.scene.camera, built.surroundings)
 
 
-def build_lights(config: Config, staged: StagedMeshes) -> list[geometry.AbstractLight]:
+def build_lights(config: Config, built: BuiltMeshes) -> list[geometry.AbstractLight]:
     """The lights of `config`.
 
     **Raises** `ConfigError` if one cannot be made.
     """
     lights = []
     for key, light in config.scene.each_light.items():
-        with blame(config, ("scene", *key), staged.stage.origin):
-            lights.append(light_on(light, staged.stage))
+        with blame(config, ("scene", *key), built.surroundings.origin):
+            lights.append(light_on(light, built.surroundings))
     return lights
 
 
@@ -196,22 +196,22 @@ def _check_closed(config: Config, meshes: list[geometry.Mesh]) -> None:
         raise ConfigError(mistakes)
 
 
-def camera_on(config: scene.Camera, stage: Stage) -> geometry.AbstractCamera:
+def camera_on(config: scene.Camera, surroundings: Surroundings) -> geometry.AbstractCamera:
     assert isinstance(config, PinholeCameraConfig | OrthographicCameraConfig)
     single = lambda point: np.asarray(point, np.float32)
-    target = single(stage.middle if config.target is None else stage.place(config.target))
+    target = single(surroundings.middle if config.target is None else surroundings.place(config.target))
     if config.eye is not None:
-        eye = single(stage.place(config.eye))
+        eye = single(surroundings.place(config.eye))
     else:
         assert config.orbit is not None
-        eye = single(stage.around(config.orbit.azimuth, config.orbit.elevation, config.orbit.distance))
+        eye = single(surroundings.around(config.orbit.azimuth, config.orbit.elevation, config.orbit.distance))
     if bool((eye == target).all()):
         raise ValueError(f"the camera's eye and target are both {eye.tolist()}; expected two points: move one of them")
     up = single(config.up)
     # The scene's extent across the view, and along it.
     # By what the camera's view is made with, which is compiled anyway.
     rows = np.asarray(geometry.look_at(eye, target - eye, up), np.float64)[:3, :3]
-    across, upwards, backward = ((stage.points - eye) @ rows.T).T
+    across, upwards, backward = ((surroundings.points - eye) @ rows.T).T
     near, far = _depth_range(-backward, perspective=isinstance(config, PinholeCameraConfig))
     near = near if config.near is None else config.near
     far = far if config.far is None else config.far
@@ -242,20 +242,20 @@ def _depth_range(depth: Float[HostArray, " n"], *, perspective: bool) -> tuple[f
     return (max(near, _MIN_NEAR * far) if perspective else near), far
 
 
-def light_on(config: scene.Light, stage: Stage) -> geometry.AbstractLight:
-    """The light of `config` on a stage.
+def light_on(config: scene.Light, surroundings: Surroundings) -> geometry.AbstractLight:
+    """The light of `config` in its surroundings.
 
     **Raises** `ValueError` if it cannot be placed there.
     """
     if isinstance(config, DirectionalLightConfig):
-        return _directional(config, stage)
+        return _directional(config, surroundings)
     assert isinstance(config, PointLightConfig | SpotLightConfig | RectangleLightConfig)
-    points = as_float(stage.points)
+    points = as_float(surroundings.points)
     if config.position is not None:
-        position = as_float(stage.place(config.position))
+        position = as_float(surroundings.place(config.position))
     else:
         assert config.orbit is not None
-        position = stage.around(config.orbit.azimuth, config.orbit.elevation, config.orbit.distance)
+        position = surroundings.around(config.orbit.azimuth, config.orbit.elevation, config.orbit.distance)
     match config:
         case PointLightConfig():
             tight = geometry.PointLight.around(position, points, radius=config.radius, guard=config.guard)
@@ -263,7 +263,7 @@ def light_on(config: scene.Light, stage: Stage) -> geometry.AbstractLight:
             tight = geometry.SpotLight.around(
                 position,
                 points,
-                target=_target(config, stage),
+                target=_target(config, surroundings),
                 outer_angle=config.outer_angle,
                 radius=config.radius,
                 inner_angle=config.inner_angle,
@@ -274,7 +274,7 @@ def light_on(config: scene.Light, stage: Stage) -> geometry.AbstractLight:
                 position,
                 points,
                 as_float(config.size),
-                target=_target(config, stage),
+                target=_target(config, surroundings),
                 outer_angle=config.outer_angle,
                 up=as_float(config.up),
             )
@@ -284,7 +284,7 @@ def light_on(config: scene.Light, stage: Stage) -> geometry.AbstractLight:
     return type(tight)(**{**vars(tight), "near": near, "far": far})
 
 
-def _directional(config: DirectionalLightConfig, stage: Stage) -> geometry.DirectionalLight:
+def _directional(config: DirectionalLightConfig, surroundings: Surroundings) -> geometry.DirectionalLight:
     if config.direction is not None:
         direction = as_float(config.direction)
     else:
@@ -293,19 +293,21 @@ def _directional(config: DirectionalLightConfig, stage: Stage) -> geometry.Direc
         centre = as_float(np.zeros(3, np.float32))
         direction = as_float(-np.asarray(geometry.orbit_eye(centre, 1.0, config.azimuth, config.elevation)))
     if config.shadow_camera is not None:
-        return _seen_by(config.shadow_camera, direction, config.angular_radius, stage)
-    points, around = as_float(stage.points), geometry.DirectionalLight.around
+        return _seen_by(config.shadow_camera, direction, config.angular_radius, surroundings)
+    points, around = as_float(surroundings.points), geometry.DirectionalLight.around
     if config.frame == "scene":
         return around(direction, points, config.angular_radius)
-    return around(direction, as_float(stage.casters), config.angular_radius, receivers=points)
+    return around(direction, as_float(surroundings.casters), config.angular_radius, receivers=points)
 
 
-def _seen_by(camera: ShadowCamera, direction: Vec3, angular_radius: float, stage: Stage) -> geometry.DirectionalLight:
+def _seen_by(
+    camera: ShadowCamera, direction: Vec3, angular_radius: float, surroundings: Surroundings
+) -> geometry.DirectionalLight:
     """The light along `direction` whose map `camera` draws.
 
     **Raises** `ValueError` if the camera sees nothing of the scene.
     """
-    position = stage.place(camera.position)
+    position = surroundings.place(camera.position)
     light = shadow.ThreeJs.directional_light(
         position,
         position + np.asarray(direction),
@@ -315,7 +317,7 @@ def _seen_by(camera: ShadowCamera, direction: Vec3, angular_radius: float, stage
     rows = np.asarray(light.view().world_to_eye, np.float64)[:3, :3]
     low = np.array([camera.left, camera.bottom, -camera.far])
     high = np.array([camera.right, camera.top, -camera.near])
-    seen = (stage.points - position) @ rows.T
+    seen = (surroundings.points - position) @ rows.T
     least, most = seen.min(axis=0), seen.max(axis=0)
     for sides, k, sign in (("left and right", 0, 1), ("bottom and top", 1, 1), ("near and far", 2, -1)):
         if least[k] > high[k] or most[k] < low[k]:
@@ -328,5 +330,5 @@ def _seen_by(camera: ShadowCamera, direction: Vec3, angular_radius: float, stage
     return light
 
 
-def _target(config: SpotLightConfig | RectangleLightConfig, stage: Stage) -> Vec3 | None:
-    return None if config.target is None else as_float(stage.place(config.target))
+def _target(config: SpotLightConfig | RectangleLightConfig, surroundings: Surroundings) -> Vec3 | None:
+    return None if config.target is None else as_float(surroundings.place(config.target))

@@ -19,7 +19,7 @@ from ..sections._config import Config
 from ..sections._fit import ShapeConfig
 from ..sections._scene import DirectionalLightConfig
 from ..sections._section import changed
-from ._scene import Stage, light_on
+from ._scene import Surroundings, light_on
 from ._scene import blame as blame_of
 
 Blame = Callable[[KeyPath], AbstractContextManager[None]]
@@ -131,7 +131,7 @@ def build_shape(config: Config) -> ShapePlan:
     extent = _EXTENT * radius if shape.extent is None else shape.extent
     screens = lambda lights: [_screen(blame, key, light, shape, middle, extent) for key, light in lights.items()]
     start = _welded(start)
-    images, weights = _images(config, shape, blame)
+    images, weights = _images(shape, blame)
     phases = [
         fit.ShapePhase(**{key: getattr(phase, key) for key in type(phase).model_fields}) for phase in shape.phases
     ]
@@ -210,9 +210,7 @@ def _symmetry(shape: ShapeConfig, start: geometry.Mesh) -> tuple[float, float, f
     return x, y, z, float(np.asarray(start.bounds).mean(axis=0)[axis])
 
 
-def _images(
-    config: Config, shape: ShapeConfig, blame: Blame
-) -> tuple[list[Float[HostArray, "h w"]], list[Float[HostArray, "h w"]]]:
+def _images(shape: ShapeConfig, blame: Blame) -> tuple[list[Float[HostArray, "h w"]], list[Float[HostArray, "h w"]]]:
     """The images, and the weights of their pixels.
 
     **Raises** `ConfigError` for a file that cannot be read, or an image of another size, without a shadow or without
@@ -276,7 +274,9 @@ def _screen(
     half = extent / 2
     with blame(key):
         around = _ball(middle, half)
-        light = _hard(light_on(_framed(section), Stage(around, around, middle, half, geometry.WORLD)), section, half)
+        light = _hard(
+            light_on(_framed(section), Surroundings(around, around, middle, half, geometry.WORLD)), section, half
+        )
         position = getattr(light, "position", None)
         way, distance = np.asarray(getattr(light, "direction", np.zeros(3)), np.float64), np.inf
         if position is not None:

@@ -47,13 +47,12 @@ def find(config: Config, scene: Mapping[str, Any], asked: Asked) -> Found | None
     corners = np.concatenate(meshes)
     casts = np.repeat([mesh.casts for mesh in config.scene.meshes], [len(each) for each in meshes])
     camera = config.scene.camera
-    lens, room_lens = _lens(camera, scene, None), _lens(camera, scene, geometry.ROOM_FOV)
     up = np.asarray(camera.up, float)
     light = None if asked.light else _given_light(config.scene, meshes[0])
     if asked.sun:
         light = _given_light(config.scene, meshes[0])
     view = None if asked.camera else _given_camera(camera, meshes[0])
-    given = geometry.Given(light, view, lens, room_lens, casts, up)
+    given = geometry.Given(light, view, _lens(camera), casts, up)
     wanted = geometry.Wanted(asked.camera, asked.light and light is None, asked.ground)
     key = pickle.dumps(([_key_of(mesh) for mesh in config.scene.meshes], given, wanted))
     found = _remembered(_arranged, _MAX_ARRANGED, key, lambda: geometry.arrange(corners, given, wanted))
@@ -121,13 +120,9 @@ def _light(
     return {"type": "directional", "direction": direction, **given}, f"a sun that shines along {direction}"
 
 
-def _lens(camera: Any, scene: Mapping[str, Any], fov: float | None) -> geometry.Lens:
-    """The lens of `camera`, with the field of view `fov` unless one is given."""
+def _lens(camera: Any) -> geometry.Lens:
     rows, columns = camera.resolution
-    given = (scene.get("camera") or {}).get("fov_y")
-    degrees = getattr(camera, "fov_y", settings.PinholeCamera.fov_y)
-    degrees = degrees if given is not None or fov is None else fov
-    half = math.tan(math.radians(degrees) / 2)
+    half = math.tan(math.radians(getattr(camera, "fov_y", settings.PinholeCamera.fov_y)) / 2)
     return geometry.Lens((half * columns / rows, half), hasattr(camera, "fov_y"))
 
 

@@ -18,7 +18,7 @@ from ..sections._sweep import SweepConfig
 from ..sections._technique import TECHNIQUES, ShadowMapConfig
 from ._draft import Draft, load_draft
 from ._mistakes import mistakes_of
-from ._sweep_runs import Progress, Sweep, SweepRuns
+from ._sweep_runs import CheckProgress, Sweep, SweepRuns
 
 _SIZE = "shadow_map.resolution"
 # Each is a fit.
@@ -53,7 +53,7 @@ class Advice(NamedTuple):
 
 
 def load_advice(
-    path: str | os.PathLike[str], overrides: Sequence[str] = (), *, progress: Progress | None = None
+    path: str | os.PathLike[str], overrides: Sequence[str] = (), *, progress: CheckProgress | None = None
 ) -> Advice:
     """Loads the fits of the section `advise` in the YAML file `path`, with `overrides` applied, like `load_sweep`.
 

@@ -41,7 +41,7 @@ _MAX_PICKLED = 1 << 14
 # How many distinct faults are collected before checking stops.
 _MAX_FAULTS = 100
 
-Progress = Callable[[int, int], None]
+CheckProgress = Callable[[int, int], None]
 """Called with the number of runs checked so far, and the number of all runs."""
 
 
@@ -128,7 +128,7 @@ class SweepRuns(Sequence[SweepRun]):
         found = [choice.shown[axis] for level in self._levels for choice in level if axis in choice.shown]
         return list({repr(value): value for value in found or [self._seed]}.values())
 
-    def check(self, progress: Progress | None = None) -> None:
+    def check(self, progress: CheckProgress | None = None) -> None:
         """Makes every run once, and computes its identifier.
 
         **Raises** `ConfigError` with everything that is wrong with any of the runs. Checking stops after a hundred
@@ -226,7 +226,7 @@ def load_sweep(
     overrides: Sequence[str] = (),
     *,
     check: bool = True,
-    progress: Progress | None = None,
+    progress: CheckProgress | None = None,
 ) -> Sweep:
     """Loads the sweep in the YAML file `path`, with `overrides` applied, like `load_config`.
 

@@ -210,14 +210,13 @@ class FitConfig(Section, fit.Fit):
         if self.shape is not None and self.parameters:
             mend = "remove the parameters, or fit.shape"
             yield ("parameters",), fault("are given with fit.shape", "one or the other", mend)
-        if self.blurs is None:
-            return
-        if not self.blurs or any(a <= b for a, b in itertools.pairwise(self.blurs)):
+        if not any(map(is_pose, self.parameters)):
+            mend = "remove the key, or add a parameter of the scene, such as scene.light.azimuth"
+            for key in (key for key in ("blurs", "points") if getattr(self, key) is not None):
+                yield (key,), fault("is given, and nothing moves", "a parameter of a light or mesh with it", mend)
+        elif self.blurs is not None and (not self.blurs or any(a <= b for a, b in itertools.pairwise(self.blurs))):
             message = "does not fall" if self.blurs else "is empty"
             yield ("blurs",), fault(message, "numbers of pixels that fall", "write a list such as [24, 3]")
-        elif not any(map(is_pose, self.parameters)):
-            mend = "remove the key, or add a parameter of the scene, such as scene.light.azimuth"
-            yield ("blurs",), fault("is given, and nothing moves", "a parameter of a light or mesh with it", mend)
 
     def faults_of_fit(self, config: "Config", at: KeyPath) -> Iterator[Conflict]:
         if not self.parameters and self.shape is None:

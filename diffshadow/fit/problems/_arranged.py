@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from ..._types import Resolution, Scalar
 from ...geometry import AbstractCamera, AbstractLight, Edges, Mesh, Scene, View
 from ...raster import Surface
+from ...settings.fit import MOST_SHADOW_POINTS
 from ...shadow import MapSettings, ShadowMap, ShadowMapping, plan_crossings
 from .._arrangement import Arrangement
 from ._abstract import AbstractProblem
@@ -23,6 +24,10 @@ _LAST_BLUR = 0.7
 _MIN_BLUR = 1.0
 # There is memory for so many times the silhouettes' crossings at the start. If others need more, phases are repeated.
 _MORE_CROSSINGS = 4
+# So many shadow points there may be within a pixel. There is one where texels are wider than two pixels, and else about
+# so many to a row of texels along a side of the pixel.
+_FIBONACCI = 1, 2, 3, 5, 8, 13, 21
+_PER_ROW, _WIDE = 4, 2.0
 
 
 class ArrangedProblem(AbstractProblem):
@@ -159,6 +164,16 @@ def weighted_difference(
 def points_of(meshes: Sequence[Mesh]) -> Float[Array, "n 3"]:
     """The vertices of all meshes."""
     return jnp.concatenate([mesh.vertices for mesh in meshes])
+
+
+def points_for(scene: Scene, technique: ShadowMapping) -> int:
+    """How many shadow points there are within each pixel: the more, the wider a pixel is in texels of the map, but no
+    more than `MOST_SHADOW_POINTS` in all."""
+    height, width = scene.camera.resolution
+    texel = widest_texel(scene, technique.map.resolution)
+    needed = 1 if texel >= _WIDE else _PER_ROW / texel
+    allowed = [count for count in _FIBONACCI if count * height * width <= MOST_SHADOW_POINTS] or [1]
+    return next((count for count in allowed if count >= needed), allowed[-1])
 
 
 def widest_texel(scene: Scene, resolution: Resolution) -> float:

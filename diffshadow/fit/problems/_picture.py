@@ -11,21 +11,17 @@ from ..._arithmetic import as_float
 from ..._types import Scalar
 from ...geometry import AbstractCamera, AbstractLight, Edges, Mesh, Scene
 from ...raster import AntialiasedSurface, AntialiasPlan, Surface, draw_antialiased, draw_surface, plan_antialiasing
-from ...settings.fit import BLUR, MOST_SHADOW_POINTS
+from ...settings.fit import BLUR
 from ...settings.reference import Encoding, PictureReference
 from ...shading import AbstractShading, Phong, to_srgb
 from ...shadow import MapSettings, Overflow, ShadowMap, ShadowMapping
 from .._arrangement import Arrangement
 from .._own_loss import Seen
 from ._abstract import any_overflow
-from ._arranged import ArrangedProblem, weighted_difference, widest_texel, with_silhouettes
+from ._arranged import ArrangedProblem, points_for, weighted_difference, with_silhouettes
 
 # There is memory for so many times the outlines' pieces at the start. If others need more, phases are repeated.
 _MORE_PIECES = 2.0
-# So many shadow points there may be within a pixel. There is one where texels are wider than two pixels, and else about
-# so many to a row of texels along a side of the pixel.
-_FIBONACCI = 1, 2, 3, 5, 8, 13, 21
-_PER_ROW, _WIDE = 4, 2.0
 
 
 class PictureProblem(ArrangedProblem):
@@ -44,9 +40,7 @@ class PictureProblem(ArrangedProblem):
         or change their colour.
     - `plan`: as for `draw_antialiased`; `crossings`: of each light's map, as for `draw_shadow_map`. `planned` finds
         both.
-    - `edges`, `blur`, `shift`: as for `PoseProblem`.
-    - `shadow_points`: shadows are looked up at so many points within each pixel. `of` takes the more, the wider a pixel
-        is in texels of the map, but no more than `MOST_SHADOW_POINTS` in all.
+    - `edges`, `blur`, `shift`, `shadow_points`: as for `PoseProblem`.
 
     !!! Example
 
@@ -83,6 +77,7 @@ class PictureProblem(ArrangedProblem):
         exposure: float = PictureReference.exposure,
         arrangement: Arrangement | None = None,
         surface: AntialiasedSurface | None = None,
+        points: int | None = None,
     ) -> "PictureProblem":
         """A scene, against a picture.
 
@@ -96,6 +91,7 @@ class PictureProblem(ArrangedProblem):
         - `arrangement`: what is fitted, if not all as it stands in the scene, with its own shading and exposure.
         - `surface`: what the camera sees, if neither it nor meshes move or change their colour. Left out, it is drawn
             again at every step.
+        - `points`: `shadow_points`; chosen by the width of a texel if left out.
 
         **Raises** `ValueError` for a picture of another size, or that is not finite where it counts.
         """
@@ -112,9 +108,8 @@ class PictureProblem(ArrangedProblem):
         given = arrangement
         if given is None:
             given = Arrangement.of_picture(technique, scene, shading or Phong(), exposure)
-        texel = widest_texel(scene, technique.map.resolution)
         problem = cls(
-            shadow_points=_points_for(texel, height * width),
+            shadow_points=points_for(scene, technique) if points is None else points,
             arrangement=given,
             scene=scene,
             reference=jnp.where(counts[..., None], reference, 0),
@@ -221,13 +216,6 @@ def _points(seen: AntialiasedSurface, camera: AbstractCamera, count: int) -> Sur
 @eqx.filter_jit
 def _over_pixels(seen: AntialiasedSurface, visibility: Float[Array, "y w"], count: int) -> Float[Array, "H w"]:
     return visibility if count == 1 else seen.mean_within(visibility, count)
-
-
-def _points_for(texel: float, pixels: int) -> int:
-    """How many shadow points there are within each of so many pixels, given how many of them a texel is wide."""
-    needed = 1 if texel >= _WIDE else _PER_ROW / texel
-    allowed = [count for count in _FIBONACCI if count * pixels <= MOST_SHADOW_POINTS] or [1]
-    return next((count for count in allowed if count >= needed), allowed[-1])
 
 
 def _larger(plan: AntialiasPlan, before: AntialiasPlan | None) -> AntialiasPlan:

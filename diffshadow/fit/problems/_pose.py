@@ -9,14 +9,14 @@ from jaxtyping import Array, Float
 
 from ..._arithmetic import as_float
 from ..._types import Scalar, Visibility
-from ...geometry import AbstractLight, Edges, Mesh, Scene, merge
-from ...raster import Surface, draw_surface
+from ...geometry import AbstractCamera, AbstractLight, Edges, Mesh, Scene, merge
+from ...raster import PixelPoints, Surface, draw_surface, points_within_pixels
 from ...reference import Reference
 from ...settings.fit import BLUR
 from ...shadow import MapSettings, Overflow, ShadowMap, ShadowMapping
 from .._arrangement import Arrangement
 from .._own_loss import Seen
-from ._arranged import ArrangedProblem, points_of, weighted_difference, with_silhouettes
+from ._arranged import ArrangedProblem, points_for, points_of, weighted_difference, with_silhouettes
 
 
 class PoseProblem(ArrangedProblem):
@@ -35,6 +35,9 @@ class PoseProblem(ArrangedProblem):
         cover a texel of the map as the camera sees it.
     - `shift`: (2,), how far the map's grid of texels is moved, as for `draw_shadow_map`; none to leave it in place.
         Maps with a warp, with pages or with cascades of several sizes have no such grid, and are drawn without.
+    - `shadow_points`: visibility is the mean over so many points within each pixel. `of` takes the more, the wider a
+        pixel is in texels of the map: where an outline is narrower than a pixel, most pixels along it have no
+        derivative at their centre.
 
     !!! Example
 
@@ -55,6 +58,7 @@ class PoseProblem(ArrangedProblem):
     edges: Edges | None = None
     blur: Scalar = eqx.field(converter=as_float, default=BLUR)
     shift: Float[Array, "2"] | None = None
+    shadow_points: int = eqx.field(static=True, default=1)
 
     @classmethod
     def of(
@@ -66,6 +70,7 @@ class PoseProblem(ArrangedProblem):
         light: int = 0,
         arrangement: Arrangement | None = None,
         surface: Surface | None = None,
+        points: int | None = None,
     ) -> "PoseProblem":
         """A scene under one of its lights, against that light's reference.
 
@@ -77,6 +82,7 @@ class PoseProblem(ArrangedProblem):
         - `light`: which of the scene's lights.
         - `arrangement`: what is fitted, if not `technique`, lights and meshes as they stand in the scene.
         - `surface`: what the camera sees, if no mesh in its sight moves. Left out, it is drawn again at every step.
+        - `points`: `shadow_points`; chosen by the width of a texel if left out.
         """
         lit = scene.lit_by(light)
         reference = as_float(truth.visibility)
@@ -91,6 +97,7 @@ class PoseProblem(ArrangedProblem):
             weight=jnp.asarray(truth.mask, reference.dtype),
             settings=with_silhouettes(technique.map),
             surface=surface,
+            shadow_points=points_for(lit, technique) if points is None else points,
         )
 
     @property
@@ -100,7 +107,9 @@ class PoseProblem(ArrangedProblem):
 
     def image(self, shadow_map: ShadowMap, surface: Surface, technique: ShadowMapping) -> Visibility:
         """What is compared with the reference, (h, w): visibility times the cone's fraction."""
-        return technique.visibility(shadow_map, surface) * cone_fraction(shadow_map.light, surface)
+        points = _points_of(surface, self.scene.camera, self.shadow_points)
+        visibility = technique.visibility(shadow_map, points.surface)
+        return _mean_over(points, visibility, shadow_map.light)
 
     def difference(self, subject: Arrangement) -> Float[Array, "h w"]:
         """Visibility less reference, times the square root of the pixel's weight."""
@@ -168,6 +177,16 @@ def _arranged(scene: Scene, arrangement: Arrangement, index: int) -> tuple[Mesh,
     meshes = [pose.placed(mesh) for pose, mesh in zip(arrangement.meshes, scene.meshes, strict=True)]
     light = scene.light.at(arrangement.lights[index]).refitted(points_of(meshes))
     return dataclasses.replace(scene, meshes=meshes).casters, light, merge(meshes)
+
+
+@eqx.filter_jit
+def _points_of(surface: Surface, camera: AbstractCamera, count: int) -> PixelPoints:
+    return points_within_pixels(surface, camera, count)
+
+
+@eqx.filter_jit
+def _mean_over(points: PixelPoints, visibility: Float[Array, "H w"], light: AbstractLight) -> Visibility:
+    return points.mean(visibility * cone_fraction(light, points.surface))
 
 
 @eqx.filter_jit

@@ -68,14 +68,14 @@ class AbstractLight(CheckedModule):
         return self
 
     @property
-    @abc.abstractmethod
     def domain(self) -> Domain:
         """The domain of the samples that `towards` takes."""
+        return "disk"
 
     @property
-    @abc.abstractmethod
     def is_directional(self) -> bool:
         """Whether the light is infinitely far away."""
+        return False
 
     @property
     @abc.abstractmethod

@@ -17,7 +17,7 @@ from ...settings.scene import DirectionalLight as Settings
 from .._camera import check_near_far
 from .._transforms import centred_orthographic, look_at
 from .._view import View
-from ._abstract import AbstractLight, Domain, check_direction
+from ._abstract import AbstractLight, check_direction
 from ._frustum import FLAT, MARGIN, on_plane
 from ._pose import LightPose, angles
 
@@ -134,10 +134,6 @@ class DirectionalLight(AbstractLight):
         if sample is None:
             return backward
         return backward + jnp.tan(jnp.deg2rad(self.angular_radius)) * on_plane(self.direction, self.up, sample)
-
-    @property
-    def domain(self) -> Domain:
-        return "disk"
 
     @property
     def is_directional(self) -> bool:

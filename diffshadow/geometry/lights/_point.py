@@ -18,7 +18,7 @@ from .._camera import check_near_far
 from .._transforms import perspective, tangents
 from .._vector import Vector
 from .._view import View
-from ._abstract import AbstractLight, Domain, check_position
+from ._abstract import AbstractLight, check_position
 from ._frustum import near_far
 from ._pose import LightPose
 
@@ -127,14 +127,6 @@ class PointLight(AbstractLight):
         right, up = tangents(w)
         on_disk = sample[..., 0:1] * right + sample[..., 1:2] * up
         return centre - self.radius * sine * w + self.radius * cosine * on_disk
-
-    @property
-    def domain(self) -> Domain:
-        return "disk"
-
-    @property
-    def is_directional(self) -> bool:
-        return False
 
     @property
     def has_size(self) -> bool:

@@ -96,9 +96,5 @@ class RectangleLight(AbstractLight):
         return "square"
 
     @property
-    def is_directional(self) -> bool:
-        return False
-
-    @property
     def has_size(self) -> bool:
         return bool((self.size > 0).any())

@@ -14,7 +14,7 @@ from ...settings.scene import UP
 from ...settings.scene import SpotLight as Settings
 from .._vector import Vector
 from .._view import View
-from ._abstract import AbstractLight, Domain, check_direction, check_position
+from ._abstract import AbstractLight, check_direction, check_position
 from ._frustum import LightFrustum, check_frustum, distances_along, frustum_view, on_plane
 from ._pose import LightPose, angles
 
@@ -123,14 +123,6 @@ class SpotLight(AbstractLight):
         width = jnp.maximum(jnp.cos(jnp.deg2rad(self.inner_angle)) - outer, 1e-6)
         t = jnp.clip((-dot(to_light, normalize(self.direction)) - outer) / width, 0, 1)
         return t * t * (3 - 2 * t)
-
-    @property
-    def domain(self) -> Domain:
-        return "disk"
-
-    @property
-    def is_directional(self) -> bool:
-        return False
 
     @property
     def has_size(self) -> bool:

@@ -89,11 +89,10 @@ def sphere(
     vertices = _stacked(-ring * np.cos(phi), y, ring * np.sin(phi))
     end = min(theta_start + theta_length, np.pi)
     a, b, c, d = _corners(_numbered(rows, columns))
-    # In the engine's order of corners: the first is the one to the right.
-    first, second = np.stack([d, a, c], axis=-1), np.stack([a, b, c], axis=-1)
     row = np.repeat(np.arange(rows), columns)
     kept = np.stack([(row != 0) | (theta_start > 0), (row != rows - 1) | (end < np.pi)], axis=-1)
-    return Geometry(vertices, np.stack([first, second], axis=1)[kept], _unit(vertices))
+    # In the engine's order of corners: the first is the one to the right.
+    return Geometry(vertices, _halved(d, a, b, c)[kept.reshape(-1)], _unit(vertices))
 
 
 def cylinder(
@@ -120,7 +119,7 @@ def cylinder(
     )
     row = np.tile(np.arange(height_segments), radial_segments)
     kept = np.stack([(radius_top > 0) | (row != 0), (radius_bottom > 0) | (row != height_segments - 1)], axis=-1)
-    faces = np.stack([np.stack([a, b, d], axis=-1), np.stack([b, c, d], axis=-1)], axis=1)[kept]
+    faces = _halved(a, b, c, d)[kept.reshape(-1)]
     parts, materials = [Geometry(vertices, faces, _unit(_stacked(sine, slope, cosine)))], [0]
     for sign, size in ((1.0, radius_top), (-1.0, radius_bottom)):
         if open_ended or size <= 0:

@@ -80,7 +80,8 @@ def run_advise(advice: Advice, *, console: Console, scheduler: str | None = None
         if (busy := busy_remark(measured.load)) is not None:
             problems.append(f"{busy}; to time them again, remove {folder / _MEASURED} and repeat the command")
         candidates = [_candidate(advice, each, time) for each, time in zip(fitted, measured.times, strict=True)]
-        noise = _noise(fitted)
+        # The same for all techniques, up to the pixels that their maps cover.
+        noise = fitted[0].row["reference_noise_floor"]
         chosen = recommended(candidates, advice.settings.within, noise or 0.0)
         best = next(each.config for each in fitted if each.row["id"] == chosen.id)
         with counting(console, "comparing biases", len(fitted)) as progress:
@@ -232,11 +233,6 @@ def _over(config: Config) -> str:
     if unseen:
         return f"{count(unseen)} for validation"
     return f"the {count(seen)} that the fit sees" if seen else "the scene"
-
-
-def _noise(fitted: Sequence[_Fitted]) -> float | None:
-    """The noise floor of the references, the same for all techniques up to the pixels that their maps cover."""
-    return fitted[0].row["reference_noise_floor"]
 
 
 def _marked(candidates: Sequence[Candidate]) -> list[Candidate]:

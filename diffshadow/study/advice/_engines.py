@@ -7,11 +7,21 @@ from typing import Any
 
 from rich.console import Console
 
-from ...config import LABEL, Advice, Config, ConfigError, Mistake, Progress, build_technique, load_advice, load_config
+from ...config import (
+    LABEL,
+    Advice,
+    CheckProgress,
+    Config,
+    ConfigError,
+    Mistake,
+    build_technique,
+    load_advice,
+    load_config,
+)
 from ...settings.engines import ENGINES, Engine, EngineName
 from ...settings.techniques import SingleMap
 from ..runs._engine import EngineFit, Lit, babylon_js, code_of, lit_by, three_js
-from ..runs._progress import Stages
+from ..runs._progress import Progress
 from ..runs._setup import draw, load
 from ._formula_engines import FORMULA_ENGINES, code_of_formula, offered
 
@@ -31,7 +41,7 @@ def engine_advice(
     engine: EngineName,
     *,
     console: Console,
-    progress: Progress | None = None,
+    progress: CheckProgress | None = None,
 ) -> Advice:
     """The fits of a recommendation among the techniques that `engine` has, like `load_advice`.
 
@@ -50,8 +60,8 @@ def engine_advice(
     config = load_config(path, overrides)
     _check(config, engine)
     seen = [view.config for view in config.views] or [config]
-    with Stages(console) as stages:
-        lit = [one for each in seen for one in lit_by(each, stages)]
+    with Progress(console) as shown:
+        lit = [one for each in seen for one in lit_by(each, shown)]
     if engine in FORMULA_ENGINES:
         try:
             lists = offered(engine, lit, _least_size(config))
@@ -122,13 +132,13 @@ def engine_code(engine: EngineName, config: Config, filter_label: str) -> dict[s
 
     `filter_label` is the name of the technique's filter.
     """
-    stages = Stages(Console(quiet=True))
+    shown = Progress.quiet()
     first = config.views[0].config if config.views else config
     if engine in FORMULA_ENGINES:
-        lit = lit_by(first, stages)
+        lit = lit_by(first, shown)
         return {".".join(map(str, each.key)): code_of_formula(engine, config, filter_label, each) for each in lit}
     technique: Any = build_technique(config, fitting=False)
-    return code_of(technique, first, draw(first, load(first, stages), technique, stages))
+    return code_of(technique, first, draw(first, load(first, shown), technique, shown))
 
 
 def code_file(engine: EngineName) -> str:

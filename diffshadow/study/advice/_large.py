@@ -5,20 +5,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
-from rich.console import Console
 
 from ... import fit
 from ..._arithmetic import as_float
 from ..._types import HostArray
 from ..._words import counted
-from ...config import Config, build_technique, fit_paths, fit_units
+from ...config import Config, fit_paths, fit_units
 from .._drawn import Drawn
 from ..pages import _table as table
 from ..runs._engine import bias_of_a_texel, lit_by
 from ..runs._measure import combined, measured
-from ..runs._progress import Stages
-from ..runs._setup import load, visibility_of
-from ..runs._views import draw_views
+from ..runs._progress import Progress
+from ..runs._setup import visibility_of
+from ._measure import judged
 
 # People set biases of one to three texels. Above the other number, a value is remarked on.
 _USUAL, _LARGE = 3.0, 6.0
@@ -46,26 +45,23 @@ class _Asking(NamedTuple):
 
 def large_biases(config: Config, noise: float) -> Iterator[str]:
     """A sentence for each bias of the fitted `config` that is far larger than usual; `noise` is the reference's."""
-    stages = Stages(Console(quiet=True))
     for name in (*_OF_MAPS, _OF_ENGINES):
-        if name in config.fit.parameters and (one := _of_a_texel(config, name, stages)):
+        if name in config.fit.parameters and (one := _of_a_texel(config, name)):
             value = config.initial(name)
             if value / one > _LARGE:
-                yield _explained(config, name, value, one, noise, stages)
+                yield _explained(config, name, value, one, noise)
 
 
-def _of_a_texel(config: Config, name: str, stages: Stages) -> float | None:
+def _of_a_texel(config: Config, name: str) -> float | None:
     """The value of a bias of one texel; none if that is not known."""
     if name != _OF_ENGINES and (name == "bias.normal_offset" or config.bias.unit == "texels"):
         return 1.0
-    lit = lit_by(config.views[0].config if config.views else config, stages)
+    lit = lit_by(config.views[0].config if config.views else config, Progress.quiet())
     return bias_of_a_texel(config.technique, lit) if name == _OF_ENGINES else lit[0].depth_per_texel
 
 
-def _explained(config: Config, name: str, value: float, one: float, noise: float, stages: Stages) -> str:
-    technique = build_technique(config, fitting=False)
-    views = draw_views(config, load(config, stages), technique, stages)
-    drawn = [each for view in views.validation or views.fitted for each in view.drawn]
+def _explained(config: Config, name: str, value: float, one: float, noise: float) -> str:
+    technique, drawn = judged(config)
 
     def at(value: float) -> tuple[list[HostArray], dict[str, float]]:
         changed: Any = fit.with_values(technique, [fit_paths(config)[name]], as_float([value]))  # type: ignore[arg-type]

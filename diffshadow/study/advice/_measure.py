@@ -6,18 +6,18 @@ from typing import Any
 
 import jax
 import numpy as np
-from rich.console import Console
 
 from ... import fit, raster
 from ..._arithmetic import as_float
 from ...config import Config, build_technique, fit_paths
+from .._drawn import Drawn
 from ..record._sweeps import LeastBias, Load, Times
 from ..remarks._verdict import unexplained_verdict
 from ..runs._explained import fitted_images, unexplained
 from ..runs._measure import combined, measured
-from ..runs._progress import Stages
+from ..runs._progress import Progress
 from ..runs._setup import load, visibility_of
-from ..runs._views import draw_views
+from ..runs._views import Views, draw_views
 from ._times import Watch, times_of, unevenness_of
 
 # Rounds in which every technique is timed once, in turns: what slows the machine down slows all of them.
@@ -39,7 +39,7 @@ def measure_times(
     **Returns** the times, and how busy the machine was.
     """
     first = configs[0].views[0].config if configs[0].views else configs[0]
-    scene = load(first, Stages(Console(quiet=True))).scene
+    scene = load(first, Progress.quiet()).scene
     surface = jax.block_until_ready(raster.draw_surface(scene.mesh, scene.camera))
     lit = [scene.lit_by(i) for i in range(len(scene.lights))]
 
@@ -75,11 +75,20 @@ def _program_of(technique: Any) -> Hashable:
     return jax.tree.structure(technique), tuple((leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(technique))
 
 
+def judged(config: Config) -> tuple[Any, list[Drawn]]:
+    """The technique of a fitted `config`, and what it is judged on: its validation, or what the fit sees."""
+    technique, views = _drawn(config)
+    return technique, [each for view in views.validation or views.fitted for each in view.drawn]
+
+
+def _drawn(config: Config) -> tuple[Any, Views]:
+    progress, technique = Progress.quiet(), build_technique(config, fitting=False)
+    return technique, draw_views(config, load(config, progress), technique, progress)
+
+
 def unexplained_by(config: Config) -> list[str]:
     """What to say first of a fitted technique that does not explain its references; empty if it explains them."""
-    stages = Stages(Console(quiet=True))
-    technique = build_technique(config, fitting=False)
-    views = draw_views(config, load(config, stages), technique, stages)
+    technique, views = _drawn(config)
     drawn = views.drawn[: views.seen]
     found = unexplained(fitted_images(views, drawn, [visibility_of(technique, each) for each in drawn], drawn))
     if found is None:
@@ -100,10 +109,7 @@ def least_bias_for(config: Config, name: str, most: float) -> LeastBias:
     - `config`: of the fitted technique.
     - `name`: a number of the bias, such as `"bias.constant"`.
     """
-    stages = Stages(Console(quiet=True))
-    technique = build_technique(config, fitting=False)
-    views = draw_views(config, load(config, stages), technique, stages)
-    drawn = [each for view in views.validation or views.fitted for each in view.drawn]
+    technique, drawn = judged(config)
     bounds = config.fit.parameters[name]
     # three.js' bias is negative.
     path, low, high = fit_paths(config)[name], config.initial(name), bounds.upper if bounds.upper > 0 else bounds.lower

@@ -66,13 +66,8 @@ def _given(scene: io.SceneFile) -> geometry.Given:
     if scene.cameras:
         eye = np.asarray(scene.cameras[0].eye, float)
         view = eye, eye + np.asarray(scene.cameras[0].forward, float)
-    lens, room = (_lens(fov) for fov in (PinholeCamera.fov_y, geometry.ROOM_FOV))
-    return geometry.Given(light, view, lens, room, casts, np.asarray(UP, float))
-
-
-def _lens(fov: float) -> geometry.Lens:
-    half = math.tan(math.radians(fov) / 2)
-    return geometry.Lens((half, half))
+    half = math.tan(math.radians(PinholeCamera.fov_y) / 2)
+    return geometry.Given(light, view, geometry.Lens((half, half)), casts, np.asarray(UP, float))
 
 
 def _light(found: geometry.Arranged, corners: Float[HostArray, "f 3 3"]) -> tuple[io.SceneLight, str]:

@@ -132,7 +132,7 @@ def settings_of(
     if technique == "three.js":
         settings["technique"] = _three_js(meshes, shadow, shadow_type)
         given = settings["technique"]
-        fitted = _bounds(light, given, _depth_slope(light, shadow, distance, diagonal), diagonal)
+        fitted = _bounds(given, _depth_slope(light, shadow, distance, diagonal), diagonal)
         if shadow_type == "BasicShadowMap":
             del fitted["technique.radius"]
         settings["fit"] = {"parameters": fitted}
@@ -280,7 +280,7 @@ def _depth_slope(light: io.SceneLight, shadow: io.SceneShadow | None, distance: 
     return far * near / ((far - near) * min(max(distance, near), far) ** 2)
 
 
-def _bounds(light: io.SceneLight, given: dict[str, Any], slope: float, diagonal: float) -> dict[str, Any]:
+def _bounds(given: dict[str, Any], slope: float, diagonal: float) -> dict[str, Any]:
     """Bounds of the numbers to fit, which contain the given numbers."""
     bias, normal_bias, radius = (given.get(key, getattr(ThreeJs, key)) for key in ("bias", "normal_bias", "radius"))
     (shift,), (offset,) = _rounded([min(_SHIFT * diagonal * slope, 1.0)], 2), _rounded([_OFFSET * diagonal], 2)

@@ -70,7 +70,8 @@ def _fault_of(folder: Path) -> _Fault | None:
     """Why a run cannot be written to `folder`, whose path is not too long; none if it can."""
     try:
         io.check_writable(folder.parent)
-        taken = os.path.lexists(folder) and not _is_run(folder)
+        is_run = folder.is_dir() and ((folder / RESULT).is_file() or not any(folder.iterdir()))
+        taken = os.path.lexists(folder) and not is_run
     except io.FileError as error:
         return _Fault("output", str(error))
     except OSError as error:
@@ -149,10 +150,6 @@ def remove(path: Path) -> None:
     else:
         with contextlib.suppress(OSError):
             path.unlink()
-
-
-def _is_run(folder: Path) -> bool:
-    return folder.is_dir() and ((folder / RESULT).is_file() or not any(folder.iterdir()))
 
 
 def _keep_others(old: Path, new: Path) -> None:

@@ -156,7 +156,8 @@ def _remedies(config: Config | None, found: Unexplained, starts: int, *, moves: 
     if found.keys and found.given:
         what = "check that it was made with this camera, this light and these meshes"
         yield f"the reference does not fit if it is flipped or inverted either: {what}"
-        if config is not None and not _fits_lights(config) and (pose := _pose_of_light(config)):
+        fits_lights = config is None or any(name.startswith("scene.light") for name in config.fit.parameters)
+        if config is not None and not fits_lights and (pose := _pose_of_light(config)):
             yield f"if the light is unknown, fit it as well: add {pose} to fit.parameters, with {more}"
     if not found.keys and not moves:
         larger = "a shadow map of more texels" if config is None else "a larger shadow_map.resolution"
@@ -179,10 +180,6 @@ def _mended(found: Unexplained, change: Change) -> Iterator[str]:
             f"stretch the reference's values: they are about {low:.2f} in shadow and {high:.2f} in light, and "
             "visibility is 0 in shadow and 1 in light"
         )
-
-
-def _fits_lights(config: Config) -> bool:
-    return any(name.startswith("scene.light") for name in config.fit.parameters)
 
 
 def _pose_of_light(config: Config) -> str | None:

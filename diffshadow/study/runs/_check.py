@@ -17,7 +17,7 @@ from ..remarks._layout import layout_remarks
 from ..remarks._scene import scene_remarks
 from ._measure import shade_lit
 from ._picture import picture_plan
-from ._progress import Stages
+from ._progress import Progress
 from ._render import SUFFIX
 from ._setup import SeenScene, check_comparable, load, plan_fit, see
 from ._shape import shape_problem
@@ -54,15 +54,15 @@ def check(config: Config, *, console: Console, preview: bool = False) -> Checked
     fits = isinstance(config.technique, Mapped) or (isinstance(config.technique, Engine) and names_engine)
     for suffix in (SUFFIX, "") if fits else (SUFFIX,):
         folder_of(config, suffix)
-    with Stages(console) as stages:
-        scene, remarks, _ = load(config, stages)
+    with Progress(console) as progress:
+        scene, remarks, _ = load(config, progress)
         technique = build_technique(config, fitting=False)
         if fits:
             plan_fit(config, scene)
-        seen = see(config, scene, technique, stages)
+        seen = see(config, scene, technique, progress)
         # Of several views, some may be dark.
         if fits and config.fit.views is None:
-            check_comparable(config, seen, stages)
+            check_comparable(config, seen, progress)
     of_scene = scene_remarks(config, technique, seen.lit, seen.surface)
     keys = [".".join(map(str, key)) for key in seen.keys]
     of_layout = layout_remarks(technique, keys, seen.states)
@@ -85,24 +85,24 @@ def _preview(config: Config, technique: shadow.AbstractTechnique, seen: SeenScen
 def _check_picture(config: Config, console: Console, preview: bool) -> Checked:
     """Reads the picture, and makes all that a fit to it needs."""
     folder_of(config)
-    with Stages(console) as stages:
-        planned = picture_plan(config, stages)
+    with Progress(console) as progress:
+        planned = picture_plan(config, progress)
     table.print_lines(console, planned.remarks, warn=True)
     scene = planned.scene
     triangles = int(scene.mesh.faces.shape[0])
     if not preview:
         return Checked(triangles)
-    with Stages(console) as stages:
+    with Progress(console) as progress:
         technique = build_technique(config, fitting=False)
-        seen = see(config, scene, technique, stages)
+        seen = see(config, scene, technique, progress)
     return Checked(triangles, *_preview(config, technique, seen))
 
 
 def _check_shape(config: Config, console: Console) -> Checked:
     """Makes all that a fit of a shape needs. It counts the triangles that the fit starts from."""
     folder_of(config)
-    with Stages(console) as stages:
-        plan, problem, _ = shape_problem(config, stages)
+    with Progress(console) as progress:
+        plan, problem, _ = shape_problem(config, progress)
         fit.check_shape(problem, plan.phases)
     table.print_lines(console, plan.remarks, warn=True)
     return Checked(plan.start.faces.shape[0])

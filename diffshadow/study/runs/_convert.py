@@ -35,7 +35,7 @@ from ..pages import _table as table
 from ._engine import FACES, SIDES, Lit, babylon_js, lit_by, three_js
 from ._fit import fit_technique
 from ._measure import combined, measured
-from ._progress import Stages
+from ._progress import Progress
 from ._setup import load, visibility_of
 from ._views import draw_views
 from ._visibility import FittedRun
@@ -80,8 +80,8 @@ def convert(
         what = f"is {config.technique.type}; {expected}"
         raise ConfigError([Mistake(config.origin.place(("technique", "type")), "technique.type", what)])
     technique = build_technique(config, fitting=False)
-    with Stages(console) as stages:
-        lit = lit_by(config, stages)
+    with Progress(console) as progress:
+        lit = lit_by(config, progress)
     plain = [_plain(config, technique, each) for each in lit]
     if origin:
         table.print_lines(console, [f"the values come from {origin}"])
@@ -199,7 +199,7 @@ def _print_radius(config: Config, lit: Lit, plain: PlainBias, console: Console) 
 def _casting(technique: AbstractTechnique, config: Config) -> str:
     """Which faces have to cast in the other engine, too."""
     if isinstance(config.technique, Engine):
-        scene = load(config, Stages(Console(quiet=True))).scene
+        scene = load(config, Progress.quiet()).scene
         sides = {side for side in technique.casting_sides(scene) if side is not None}
         if len(sides) == 1:
             return f"{FACES[sides.pop()]}, as in {config.technique.type}"
@@ -217,11 +217,11 @@ def _convert_by_fits(
     engines that are left."""
     fits = {name: overrides for name, overrides in _fits(config, lit).items() if name in engines}
     runs: dict[str, FittedRun] = {}
-    with Stages(console) as stages:
+    with Progress(console) as progress:
         for name, overrides in fits.items():
             settings = parse_config(dump_resolved(config), overrides, source=f"the fit of {name}", fitting=True)
-            runs[name] = fit_technique(settings, stages)
-        errors = {"this configuration": _errors_of(config, technique, stages)} if runs else {}
+            runs[name] = fit_technique(settings, progress)
+        errors = {"this configuration": _errors_of(config, technique, progress)} if runs else {}
     if runs:
         table.print_lines(console, [f"so {' and '.join(runs)} are fitted to the same reference, with their own bias:"])
         table.print_rows(console, errors | {name: run.errors["after"] for name, run in runs.items()})
@@ -252,9 +252,9 @@ def _instead(left: Sequence[str], source: Path | str, overrides: Sequence[str], 
     ]
 
 
-def _errors_of(config: Config, technique: AbstractTechnique, stages: Stages) -> Mapping[str, float]:
+def _errors_of(config: Config, technique: AbstractTechnique, progress: Progress) -> Mapping[str, float]:
     """The errors of `config` over the views of its fit."""
-    views = draw_views(config, load(config, stages), technique, stages)
+    views = draw_views(config, load(config, progress), technique, progress)
     drawn = views.drawn[: views.seen]
     return combined([measured(visibility_of(technique, each), each) for each in drawn], drawn)
 

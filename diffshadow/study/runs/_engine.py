@@ -15,7 +15,7 @@ from ...raster import Surface, draw_surface
 from ...settings import scene
 from ...settings.engines import BabylonFilter, BabylonJs, Side, ThreeJs
 from .._drawn import Drawn
-from ._progress import Stages
+from ._progress import Progress
 from ._setup import load
 
 # Bounds and start of an engine's bias in texels, and of its normal bias and radius.
@@ -43,15 +43,15 @@ class Lit(NamedTuple):
         return isinstance(self.scene.light, PointLight)
 
 
-def lit_by(config: Config, stages: Stages) -> list[Lit]:
+def lit_by(config: Config, progress: Progress) -> list[Lit]:
     """Each light of `config` and the median over its receivers.
 
     **Raises** `ConfigError` if one lights nothing that the camera sees, or no engine has it.
     """
-    whole = load(config, stages).scene
+    whole = load(config, progress).scene
     # The light's own map: neither bias nor filter changes the size of its texels.
     plain = shadow.ShadowMapping(shadow.Nearest(), shadow.Bias(), map=shadow.MapSettings(config.shadow_map.resolution))
-    with stages.stage("drawing"):
+    with progress.stage("drawing"):
         surface = draw_surface(whole.mesh, whole.camera)
         return [_lit(config, plain, whole, surface, i) for i in range(len(whole.lights))]
 

@@ -14,7 +14,7 @@ from ..pages._console import print_run
 from ..record._folder import folder_of
 from ._checkpoint import Checkpoint
 from ._picture import FittedPicture, picture_problem
-from ._progress import Stages
+from ._progress import Progress
 from ._setup import load, plan_fit
 from ._shape import fit_shape
 from ._views import draw_views
@@ -33,28 +33,28 @@ def run_fit(config: Config, *, console: Console) -> Path:
     """
     _check_processes(config)
     folder = folder_of(config)
-    with Stages(console) as stages:
+    with Progress(console) as progress:
         if config.fit.shape is not None:
-            run, result = fit_shape(config, stages), None
+            run, result = fit_shape(config, progress), None
         else:
-            run = (fit_picture if config.reference.type == "picture" else fit_technique)(config, stages)
+            run = (fit_picture if config.reference.type == "picture" else fit_technique)(config, progress)
             result = run.result
         if jax.process_index() > 0:
             return folder
-        with stages.stage("writing"):
-            record = write_run(folder, run, stages.seconds)
+        with progress.stage("writing"):
+            record = write_run(folder, run, progress.seconds)
     if config.fit.shape is not None:
         Checkpoint(config, folder).remove()
-    print_run(console, record, sum(stages.seconds.values()), result)
+    print_run(console, record, sum(progress.seconds.values()), result)
     return folder
 
 
-def fit_technique(config: Config, stages: Stages, on_step: Callable[[fit.Step], None] | None = None) -> FittedRun:
+def fit_technique(config: Config, progress: Progress, on_step: Callable[[fit.Step], None] | None = None) -> FittedRun:
     """Fits the parameters of `config` to visibility, and measures the images before and after; `on_step` as in
     `fit.fit`."""
-    loaded = load(config, stages)
+    loaded = load(config, progress)
     plan, technique = plan_fit(config, loaded.scene), build_fittable(config)
-    views = draw_views(config, loaded, technique, stages)
+    views = draw_views(config, loaded, technique, progress)
     drawn = views.drawn
     if plan.arrangement is None:
         problems: list[Any] = [
@@ -71,28 +71,28 @@ def fit_technique(config: Config, stages: Stages, on_step: Callable[[fit.Step], 
     else:
         problems = problems_of(plan, loaded.scene, drawn)
         drawn = with_references_of(problems, drawn)
-    result = _solved(problems[: views.seen], plan, stages, on_step)
-    with stages.stage("measuring"):
-        states = states_of(result, problems, drawn, stages)
+    result = _solved(problems[: views.seen], plan, progress, on_step)
+    with progress.stage("measuring"):
+        states = states_of(result, problems, drawn, progress)
         return FittedRun(config.name, config, result, plan.truth, views, drawn, *states)
 
 
-def fit_picture(config: Config, stages: Stages) -> FittedPicture:
+def fit_picture(config: Config, progress: Progress) -> FittedPicture:
     """Fits the parameters of `config` to a picture, and measures the pictures before and after."""
-    problem, planned = picture_problem(config, stages)
-    result = _solved([problem], planned.fit, stages)
-    with stages.stage("measuring"):
+    problem, planned = picture_problem(config, progress)
+    result = _solved([problem], planned.fit, progress)
+    with progress.stage("measuring"):
         return FittedPicture.of(config.name, config, result, planned.fit.truth, planned.remarks)
 
 
 def _solved(
     problems: Sequence[fit.AbstractProblem],
     plan: FitPlan,
-    stages: Stages,
+    progress: Progress,
     on_step: Callable[[fit.Step], None] | None = None,
 ) -> fit.FitResult:
-    """Fits the parameters of `plan`. Its times are added to `stages`."""
-    stages.show("compiling")
+    """Fits the parameters of `plan`. Its times are added to `progress`."""
+    progress.show("compiling")
     result = fit.fit(
         problems,
         plan.parameters,
@@ -102,9 +102,9 @@ def _solved(
         search=plan.search,
         sureness=plan.sureness,
         on_step=on_step,
-        progress=lambda detail, done: stages.show("fitting", detail, done),
+        progress=lambda detail, done: progress.show("fitting", detail, done),
     )
-    stages.seconds |= {"compiling": result.seconds_compiling, "fitting": result.seconds_running}
+    progress.seconds |= {"compiling": result.seconds_compiling, "fitting": result.seconds_running}
     return result
 
 

@@ -19,7 +19,7 @@ from ..record import _runs as records
 from ..record._stored import StoredRun
 from ..remarks._fit import remarks
 from ..remarks._verdict import Unexplained, verdict
-from ._progress import Stages
+from ._progress import Progress
 from ._setup import load, plan_fit, trace
 
 Picture = Float[HostArray, "h w 3"]
@@ -43,14 +43,14 @@ class PicturePlan(NamedTuple):
     remarks: list[str]
 
 
-def picture_plan(config: Config, stages: Stages) -> PicturePlan:
+def picture_plan(config: Config, progress: Progress) -> PicturePlan:
     """What `config`, whose reference is a picture, fits to which picture.
 
     **Raises** `ConfigError` for a mistake in the configuration.
     """
     section = config.reference
     assert isinstance(section, PictureReference)
-    loaded = load(config, stages)
+    loaded = load(config, progress)
     scene = _with_spare_depth(config, loaded.scene)
     plan = plan_fit(config, scene)
     picture, encoding = (None, "linear") if section.path is None else _picture(config, section.path)
@@ -58,19 +58,19 @@ def picture_plan(config: Config, stages: Stages) -> PicturePlan:
     return PicturePlan(scene, plan, picture, section.encoding or encoding, mask, [*loaded.remarks])
 
 
-def picture_problem(config: Config, stages: Stages) -> tuple[fit.PictureProblem, PicturePlan]:
+def picture_problem(config: Config, progress: Progress) -> tuple[fit.PictureProblem, PicturePlan]:
     """The problem that brings `config` to its picture, and the plan behind it.
 
     **Raises** `ConfigError` for a mistake in the configuration, before any ray is traced.
     """
-    section, planned = config.reference, picture_plan(config, stages)
+    section, planned = config.reference, picture_plan(config, progress)
     assert isinstance(section, PictureReference)
     scene, plan, read, encoding, mask, _ = planned
     assert plan.arrangement is not None
     if read is None:
         shading = plan.arrangement.shading
         assert shading is not None
-        with stages.stage("tracing reference"):
+        with progress.stage("tracing reference"):
             read = traced_picture(scene, shading, section.samples, section.supersampling, config.seed)
             read = encoded(read * 2**section.exposure, encoding)
     moves = any(p.where.startswith(("camera.", "meshes.")) for p in plan.parameters)
@@ -82,6 +82,7 @@ def picture_problem(config: Config, stages: Stages) -> tuple[fit.PictureProblem,
         encoding=encoding,
         arrangement=plan.arrangement,
         surface=None if moves else raster.draw_antialiased(scene.mesh, scene.camera),
+        points=plan.points,
     )
     return problem, planned
 

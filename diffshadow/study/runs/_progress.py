@@ -9,12 +9,12 @@ from rich.markup import escape
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
-    Progress,
     SpinnerColumn,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.progress import Progress as Bar
 
 # Seconds between updates of a bar.
 _PAUSE = 0.05
@@ -23,7 +23,7 @@ _KNOWN = 2.0
 _MINUTE = 60.0
 
 
-class Stages:
+class Progress:
     """A progress line that vanishes when the work is done. It is shown on a terminal only.
 
     - `seconds`: how long each finished stage took, by name, in order.
@@ -33,7 +33,7 @@ class Stages:
     def __init__(self, console: Console):
         self.seconds: dict[str, float] = {}
         self.part = ""
-        self._progress = Progress(
+        self._progress = Bar(
             SpinnerColumn(finished_text=" "),
             TextColumn("{task.description}"),
             BarColumn(bar_width=24),
@@ -46,11 +46,11 @@ class Stages:
         self._task = self._progress.add_task("", total=None, detail="")
 
     @classmethod
-    def quiet(cls) -> "Stages":
-        """Stages that are not shown."""
+    def quiet(cls) -> "Progress":
+        """Progress that is not shown."""
         return cls(Console(quiet=True))
 
-    def __enter__(self) -> "Stages":
+    def __enter__(self) -> "Progress":
         self._progress.start()
         return self
 
@@ -100,7 +100,7 @@ def duration(seconds: float) -> str:
 @contextmanager
 def counting(console: Console, name: str, total: int) -> Iterator[Callable[..., None]]:
     """A progress bar that vanishes when the work is done. Call it with the number done of `total`, and a detail."""
-    bar = Progress(
+    bar = Bar(
         TextColumn("{task.description}"),
         BarColumn(bar_width=40),
         MofNCompleteColumn(),

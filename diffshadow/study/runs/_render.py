@@ -32,7 +32,7 @@ from ._measure import (
     stacked,
     suffix,
 )
-from ._progress import Stages
+from ._progress import Progress
 from ._setup import draw, load, visibility_of
 from ._write import write_run
 
@@ -142,20 +142,20 @@ def run_render(config: Config, *, console: Console, debug: bool = False) -> Path
     **Raises** `ValueError` for a mistake in the configuration, before any long computation.
     """
     folder = folder_of(config, SUFFIX)
-    with Stages(console) as stages:
-        loaded, technique = load(config, stages), build_technique(config, fitting=False)
-        rendered = render_drawn(config, technique, draw(config, loaded, technique, stages), stages, debug=debug)
-        with stages.stage("writing"):
-            record = write_run(folder, rendered, stages.seconds, "render")
-    print_run(console, record, sum(stages.seconds.values()))
+    with Progress(console) as progress:
+        loaded, technique = load(config, progress), build_technique(config, fitting=False)
+        rendered = render_drawn(config, technique, draw(config, loaded, technique, progress), progress, debug=debug)
+        with progress.stage("writing"):
+            record = write_run(folder, rendered, progress.seconds, "render")
+    print_run(console, record, sum(progress.seconds.values()))
     return folder
 
 
 def render_drawn(
-    config: Config, technique: shadow.AbstractTechnique, drawn: list[Drawn], stages: Stages, *, debug: bool = False
+    config: Config, technique: shadow.AbstractTechnique, drawn: list[Drawn], progress: Progress, *, debug: bool = False
 ) -> Rendered:
     """The visibility by `technique` of a scene that is already drawn, and its errors."""
-    with stages.stage("measuring"):
+    with progress.stage("measuring"):
         visibility = [visibility_of(technique, each) for each in drawn]
         errors = [measured(image, each) for image, each in zip(visibility, drawn, strict=True)]
     return Rendered(config, technique, drawn, visibility, errors, debug)

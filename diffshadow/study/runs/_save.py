@@ -13,7 +13,7 @@ from ..._words import counted
 from .._drawn import Drawn
 from ..record._folder import checked_folder
 from ._picture import FittedPicture
-from ._progress import Stages
+from ._progress import Progress
 from ._views import DrawnView, Views
 from ._visibility import FittedRun, states_of
 from ._write import Finished, write_run
@@ -55,14 +55,14 @@ def save_fit(result: fit.FitResult, folder: str | os.PathLike[str], *, names: Se
             f"{counted(len(result.parameters), 'parameter')}; expected images of one size, "
             "and what fit.fit returned: save one fit for each size"
         )
-    stages, name = Stages.quiet(), into.resolve().name
-    stages.seconds |= {"compiling": result.seconds_compiling, "fitting": result.seconds_running}
-    with stages.stage("measuring"):
+    progress, name = Progress.quiet(), into.resolve().name
+    progress.seconds |= {"compiling": result.seconds_compiling, "fitting": result.seconds_running}
+    with progress.stage("measuring"):
         if kinds is fit.PictureProblem:
             run: Finished = FittedPicture.of(name, None, result, {}, [])
         else:
-            run = _measured(name, result, _names(result, names), stages)
-    write_run(into, run, stages.seconds)
+            run = _measured(name, result, _names(result, names), progress)
+    write_run(into, run, progress.seconds)
     return into
 
 
@@ -76,10 +76,10 @@ def _names(result: fit.FitResult, names: Sequence[str] | None) -> list[str]:
     return named
 
 
-def _measured(name: str, result: fit.FitResult, keys: Sequence[str], stages: Stages) -> FittedRun:
+def _measured(name: str, result: fit.FitResult, keys: Sequence[str], progress: Progress) -> FittedRun:
     """The fit as it is written."""
     drawn = [_drawn(problem, key, result) for problem, key in zip(result.problems, keys, strict=True)]
-    states = states_of(result, result.problems, drawn, stages)
+    states = states_of(result, result.problems, drawn, progress)
     if result.arrangement is not None:
         # Where lights and meshes truly are is not known, so the reference is shown where the fit leaves them.
         drawn = states[1].drawn

@@ -12,11 +12,11 @@ from jaxtyping import Bool, Float32
 from ... import fit, geometry, io, raster, reference, shadow
 from ..._types import HostArray
 from ...config import (
+    BuiltMeshes,
     Config,
     ConfigError,
     FitPlan,
     Mistake,
-    StagedMeshes,
     build_fit,
     build_meshes,
     build_scene,
@@ -26,7 +26,7 @@ from ...settings.reference import ImageReference, PictureReference, TracedRefere
 from .._drawn import Drawn
 from ..remarks._scene import dark_scene
 from ..remarks._sight import blind_camera, blind_light
-from ._progress import Stages
+from ._progress import Progress
 
 
 class SeenScene(NamedTuple):
@@ -51,19 +51,19 @@ class SeenScene(NamedTuple):
 class Loaded(NamedTuple):
     """The scene of a configuration, and a sentence for each mesh file that was not read completely.
 
-    - `staged`: its meshes; none of a scene that was made in another way.
+    - `built`: its meshes; none of a scene that was made in another way.
     """
 
     scene: geometry.Scene
     remarks: tuple[str, ...] = ()
-    staged: StagedMeshes | None = None
+    built: BuiltMeshes | None = None
 
 
 def see(
     config: Config,
     scene: geometry.Scene,
     technique: shadow.AbstractTechnique,
-    stages: Stages,
+    progress: Progress,
     surface: raster.Surface | None = None,
 ) -> SeenScene:
     """Reads the reference's image, if there is one, and draws the scene as camera and lights see it.
@@ -79,7 +79,7 @@ def see(
     build_shading(config)
     lit = [scene.lit_by(i) for i in range(len(scene.lights))]
     keys: list[tuple[str | int, ...]] = [("scene", *key) for key in config.scene.each_light]
-    with stages.stage("drawing"):
+    with progress.stage("drawing"):
         if surface is None:
             has_maps = isinstance(technique, shadow.ShadowMapping)
             buffer = technique.layers.buffer(scene.camera.resolution) if has_maps else None
@@ -95,7 +95,7 @@ def see(
     return SeenScene(keys, lit, surface, states, covered, image, tuple(remarks))
 
 
-def check_comparable(config: Config, seen: SeenScene, stages: Stages) -> None:
+def check_comparable(config: Config, seen: SeenScene, progress: Progress) -> None:
     """**Raises** `ConfigError` if the reference would be dark in all pixels that count, so that there is nothing to fit
     to. It traces only as many rays as it takes to find one that is not blocked."""
     if seen.image is not None:
@@ -106,7 +106,7 @@ def check_comparable(config: Config, seen: SeenScene, stages: Stages) -> None:
             )
             raise _error(config, ("reference", "path"), what)
         return
-    with stages.stage("looking for light"):
+    with progress.stage("looking for light"):
         dark = dark_scene(config, seen.lit, seen.surface, seen.covered)
     if dark is not None:
         raise _error(config, ("scene",), dark)
@@ -116,7 +116,7 @@ def draw(
     config: Config,
     loaded: Loaded,
     technique: shadow.AbstractTechnique,
-    stages: Stages,
+    progress: Progress,
     *,
     surface: raster.Surface | None = None,
     comparing: bool = False,
@@ -130,11 +130,11 @@ def draw(
 
     **Raises** `ConfigError` if no pixel counts, or the reference does not match the scene.
     """
-    seen = see(config, loaded.scene, technique, stages, surface)
+    seen = see(config, loaded.scene, technique, progress, surface)
     if comparing:
-        check_comparable(config, seen, stages)
-    with stages.stage("tracing reference"):
-        truths = [_reference(config, each, seen.image, stages) for each in seen.lit]
+        check_comparable(config, seen, progress)
+    with progress.stage("tracing reference"):
+        truths = [_reference(config, each, seen.image, progress) for each in seen.lit]
     if not any((pixels & truth.mask).any() for pixels, truth in zip(seen.covered, truths, strict=True)):
         raise _error(config, ("scene", "camera"), "sees a surface at no pixel's centre; expected some; move it nearer")
     remarks = (*loaded.remarks, *seen.remarks)
@@ -157,17 +157,17 @@ def _prepared(
         raise _error(config, ("technique",), str(error)) from error
 
 
-def load(config: Config, stages: Stages, like: Loaded | None = None) -> Loaded:
+def load(config: Config, progress: Progress, like: Loaded | None = None) -> Loaded:
     """The scene of `config`. Each `io.FileWarning` becomes a remark.
 
     **Arguments:** `like`: what was loaded for a configuration with the same meshes.
     """
     remarks = [] if like is None else list(like.remarks)
-    with stages.stage("loading"), _warnings_to(remarks):
-        staged = None if like is None else like.staged
-        staged = build_meshes(config) if staged is None else staged
-        scene = build_scene(config, staged)
-    return Loaded(scene, tuple(remarks), staged)
+    with progress.stage("loading"), _warnings_to(remarks):
+        built = None if like is None else like.built
+        built = build_meshes(config) if built is None else built
+        scene = build_scene(config, built)
+    return Loaded(scene, tuple(remarks), built)
 
 
 def plan_fit(config: Config, scene: geometry.Scene) -> FitPlan:
@@ -220,19 +220,19 @@ def _image(config: Config) -> Float32[HostArray, "h w"] | None:
 
 
 def _reference(
-    config: Config, scene: geometry.Scene, image: Float32[HostArray, "h w"] | None, stages: Stages
+    config: Config, scene: geometry.Scene, image: Float32[HostArray, "h w"] | None, progress: Progress
 ) -> reference.Reference:
     try:
-        return _traced(config, scene, stages) if image is None else reference.reference_from_image(image, scene)
+        return _traced(config, scene, progress) if image is None else reference.reference_from_image(image, scene)
     except ValueError as error:
         # Rays may miss a surface that the rasterizer finds at a pixel's edge.
         raise _error(config, ("scene", "camera"), str(error)) from error
 
 
-def _traced(config: Config, scene: geometry.Scene, stages: Stages) -> reference.Reference:
+def _traced(config: Config, scene: geometry.Scene, progress: Progress) -> reference.Reference:
     traced = config.reference
     assert isinstance(traced, TracedReference | PictureReference)
-    show = lambda done: stages.show("tracing reference", f"{traced.samples} rays per pixel", done)
+    show = lambda done: progress.show("tracing reference", f"{traced.samples} rays per pixel", done)
     return trace(scene, traced.how(config.seed), show)
 
 
@@ -249,10 +249,10 @@ def trace(
     return reference.Reference(**{**arrays, "samples": int(arrays["samples"])})  # type: ignore[arg-type]
 
 
-def keyed_scenes(config: Config, stages: Stages) -> list[reference.KeyedScene]:
+def keyed_scenes(config: Config, progress: Progress) -> list[reference.KeyedScene]:
     """The scene of `config` under each of its lights alone; none if it cannot be built."""
     try:
-        scene = load(config, stages).scene
+        scene = load(config, progress).scene
         return [reference.KeyedScene.of(scene.lit_by(i)) for i in range(len(scene.lights))]
     except (ConfigError, ValueError, OSError):
         # The run reports it.

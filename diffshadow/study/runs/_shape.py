@@ -18,7 +18,7 @@ from ..record._stored import StoredRun
 from ..remarks._fit import shape_remarks
 from ..remarks._verdict import shape_verdict
 from ._checkpoint import Checkpoint
-from ._progress import Stages
+from ._progress import Progress
 from ._setup import trace
 
 Image = Float[HostArray, "h w"]
@@ -89,15 +89,14 @@ class FittedShapeRun:
         io.write_animation(draft / PROGRESS, progress(self.steps), 120)
 
 
-def shape_problem(config: Config, stages: Stages | None = None) -> tuple[ShapePlan, fit.ShapeProblem, list[Image]]:
+def shape_problem(config: Config, progress: Progress) -> tuple[ShapePlan, fit.ShapeProblem, list[Image]]:
     """The plan of `config`, whose section `fit.shape` is given, its problem, and the problem's targets.
 
     **Raises** `ConfigError` for a mesh, a light or an image that cannot be used.
     """
-    stages = Stages.quiet() if stages is None else stages
-    with stages.stage("loading"):
+    with progress.stage("loading"):
         plan = build_shape(config)
-    with stages.stage("tracing targets"):
+    with progress.stage("tracing targets"):
         targets = plan.images or [shadow_on(s, mesh) for s, mesh in zip(plan.seen, plan.targets, strict=True)]
     weights = plan.weights or [None] * len(targets)
     try:
@@ -109,37 +108,37 @@ def shape_problem(config: Config, stages: Stages | None = None) -> tuple[ShapePl
         raise _error(config, str(error)) from error
 
 
-def fit_shape(config: Config, stages: Stages) -> FittedShapeRun:
+def fit_shape(config: Config, progress: Progress) -> FittedShapeRun:
     """Fits the shape of `config`. A fit that was stopped goes on from its checkpoint, if the configuration is the same.
 
     **Raises** `ConfigError` for a mistake in the configuration; `FileError` if no space is left for the checkpoint.
     """
     checkpoint = Checkpoint(config, folder_of(config))
-    plan, problem, targets = shape_problem(config, stages)
+    plan, problem, targets = shape_problem(config, progress)
     kept: list[tuple[HostArray, HostArray]] = [(np.asarray(plan.start.vertices), np.asarray(plan.start.faces))]
-    with stages.stage("fitting"):
+    with progress.stage("fitting"):
         try:
-            watch = _watch(stages, plan, checkpoint, kept)
+            watch = _watch(progress, plan, checkpoint, kept)
             result = fit.fit_shape(problem, plan.phases, on_step=watch, resume=checkpoint.read())
         except io.FileError:
             # Of the checkpoint.
             raise
         except ValueError as error:
             raise _error(config, str(error)) from error
-    with stages.stage("tracing result"):
+    with progress.stage("tracing result"):
         mesh = result.mesh
         lit = [screen._replace(light=light) for screen, light in zip(plan.seen, result.lights, strict=True)]
         rays = [shadow_on(screen, mesh) for screen in lit]
         pairs = [] if plan.truth is None else [(shadow_on(s, mesh), shadow_on(s, plan.truth)) for s in plan.unseen]
     kept.append((np.asarray(mesh.vertices), np.asarray(mesh.faces)))
-    with stages.stage("measuring"):
+    with progress.stage("measuring"):
         measured = _measured(plan, result, targets, rays, pairs)
         said = shape_verdict(result, measured)
     return FittedShapeRun(config, plan, result, targets, rays, kept, measured, said)
 
 
 def _watch(
-    stages: Stages,
+    progress: Progress,
     plan: ShapePlan,
     checkpoint: Checkpoint,
     kept: list[tuple[HostArray, HostArray]],
@@ -150,7 +149,7 @@ def _watch(
     def show(step: fit.ShapeStep) -> None:
         done = ends[step.phase] + step.step
         detail = f"phase {step.phase + 1} of {len(plan.phases)}, step {step.step}, RMSE {step.loss**0.5:.5f}"
-        stages.show("fitting", detail, done / ends[-1])
+        progress.show("fitting", detail, done / ends[-1])
         checkpoint.at(step.state)
         if done % every == 0:
             kept.append((step.vertices, step.faces))

@@ -9,7 +9,7 @@ from ... import shadow
 from ...config import Config, ConfigError, FitView, Mistake, build_technique
 from .._drawn import Drawn
 from ..remarks._scene import scene_remarks
-from ._progress import Stages
+from ._progress import Progress
 from ._setup import Loaded, draw, load
 
 # The sections that what is loaded depends on.
@@ -78,7 +78,7 @@ class Views(NamedTuple):
         return next(i for i, (_, part) in enumerate(self.parts) if index < part.stop)
 
 
-def draw_views(config: Config, loaded: Loaded, technique: shadow.AbstractTechnique, stages: Stages) -> Views:
+def draw_views(config: Config, loaded: Loaded, technique: shadow.AbstractTechnique, progress: Progress) -> Views:
     """Draws the views of `config` and finds their references. Each is cached, so a change of one traces one again.
 
     **Arguments:**
@@ -87,13 +87,13 @@ def draw_views(config: Config, loaded: Loaded, technique: shadow.AbstractTechniq
 
     **Raises** `ConfigError` as `draw` does, for the first view that has a fault.
     """
-    own = lambda: [DrawnView("", config, technique, draw(config, loaded, technique, stages, comparing=True))]
-    fitted = _drawn_in_turn("view", config.views, config, technique, stages) or own()
+    own = lambda: [DrawnView("", config, technique, draw(config, loaded, technique, progress, comparing=True))]
+    fitted = _drawn_in_turn("view", config.views, config, technique, progress) or own()
     if not any(each.reference.visibility[each.mask].any() for view in fitted for each in view.drawn):
         what = "are dark in all pixels that count, so that there is nothing to compare; expected some in light"
         path = ("fit", "views")
         raise ConfigError([Mistake(config.origin.place(path), ".".join(path), f"{what}; change their lights")])
-    return Views(fitted, _drawn_in_turn("view of validation", config.validation, config, technique, stages))
+    return Views(fitted, _drawn_in_turn("view of validation", config.validation, config, technique, progress))
 
 
 class _Kept(NamedTuple):
@@ -104,24 +104,24 @@ class _Kept(NamedTuple):
 
 
 def _drawn_in_turn(
-    what: str, views: Sequence[FitView], config: Config, technique: shadow.AbstractTechnique, stages: Stages
+    what: str, views: Sequence[FitView], config: Config, technique: shadow.AbstractTechnique, progress: Progress
 ) -> list[DrawnView]:
     """Draws `views` of a fit of `config`, and shows how many there are."""
     found, kept = [], _Kept({}, {})
-    for view in stages.counted(what, views):
+    for view in progress.counted(what, views):
         is_alike = view.config.shadow_map == config.shadow_map
-        found.append(_drawn(view, technique if is_alike else None, kept, stages))
+        found.append(_drawn(view, technique if is_alike else None, kept, progress))
     return found
 
 
-def _drawn(view: FitView, technique: shadow.AbstractTechnique | None, kept: _Kept, stages: Stages) -> DrawnView:
+def _drawn(view: FitView, technique: shadow.AbstractTechnique | None, kept: _Kept, progress: Progress) -> DrawnView:
     name, config = view
     meshes, sight = (config.scene.model_dump_json(include=set(parts)) for parts in (_MESHES, (*_MESHES, "camera")))
     try:
-        loaded = load(config, stages, kept.loaded.get(meshes))
+        loaded = load(config, progress, kept.loaded.get(meshes))
         technique = build_technique(config) if technique is None else technique
         like = kept.seen.get(sight)
-        drawn = draw(config, loaded, technique, stages, surface=None if like is None else like.surface)
+        drawn = draw(config, loaded, technique, progress, surface=None if like is None else like.surface)
     except ConfigError as error:
         named = [dataclasses.replace(each, message=f"{each.message} (in the view {name})") for each in error.mistakes]
         raise ConfigError(named) from error

@@ -26,7 +26,7 @@ from ..remarks._verdict import verdict
 from ._engine import code_of
 from ._explained import fitted_images, unexplained
 from ._measure import Pictures, combined, light_arrays, measured, noise, perceptual_error, shaded, stacked, suffix
-from ._progress import Stages
+from ._progress import Progress
 from ._setup import Loaded, draw, visibility_of
 from ._views import DrawnView, Views
 from ._write import configs_of_fit
@@ -42,7 +42,7 @@ def pose_problems(config: Config, plan: FitPlan, scene: Scene) -> list[fit.PoseP
 
     **Raises** `ConfigError` if no pixel counts, or the reference does not match the scene.
     """
-    drawn = draw(config, Loaded(scene), build_shadow_mapping(config), Stages.quiet())
+    drawn = draw(config, Loaded(scene), build_shadow_mapping(config), Progress.quiet())
     return problems_of(plan, scene, drawn)
 
 
@@ -58,6 +58,7 @@ def problems_of(plan: FitPlan, scene: Scene, drawn: Sequence[Drawn]) -> list[fit
             light=i,
             arrangement=plan.arrangement,
             surface=None if moves else each.surface,
+            points=plan.points,
         )
         for i, each in enumerate(drawn)
     ]
@@ -315,7 +316,7 @@ def _with_flip(
 
 
 def states_of(
-    result: fit.FitResult, problems: Sequence[Any], drawn: list[Drawn], stages: Stages
+    result: fit.FitResult, problems: Sequence[Any], drawn: list[Drawn], progress: Progress
 ) -> tuple[State, State]:
     """The images before and after a fit under the hard compare.
 
@@ -331,9 +332,9 @@ def states_of(
             images, seen = _arranged(result.problems, drawn, subject)
         else:
             seen = _laid_out(subject, laid_out, drawn)
-            counted = stages.counted(f"image {when} the fit", seen)
+            counted = progress.counted(f"image {when} the fit", seen)
             images = [visibility_of(subject, each) for each in counted]
-        pairs = stages.counted("errors of image", list(zip(images, drawn, strict=True)))
+        pairs = progress.counted("errors of image", list(zip(images, drawn, strict=True)))
         states.append(State(images, seen, [measured(*pair) for pair in pairs]))
     return states[0], states[1]
 

@@ -42,7 +42,7 @@ def write_plot(path: Path, curves: Sequence[Curve], plot: PlotConfig, settings: 
         style.title(one, panel)
         shown = [curve for curve in curves if curve.panel == panel]
         for curve in shown:
-            _draw(one, curve, lines.index(curve.line))
+            one.plot(curve.x, curve.y, label=style.label(_label(curve)), **style.curve(lines.index(curve.line)))
         _scale(one, shown, plot)
         if any(curve.line for curve in shown):
             title = plot.lines if all(curve.slope is None for curve in shown) else f"{plot.lines}: slope"
@@ -58,10 +58,6 @@ def _metric(name: str) -> str:
     if metric not in _METRICS:
         return name
     return f"{when}: {_METRICS[metric]}" if when else _METRICS[metric]
-
-
-def _draw(axes: style.Axes, curve: Curve, index: int) -> None:
-    axes.plot(curve.x, curve.y, label=style.label(_label(curve)), **style.curve(index))
 
 
 def _label(curve: Curve) -> str:

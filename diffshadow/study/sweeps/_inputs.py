@@ -14,12 +14,10 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rich.console import Console
-
 from ... import io
 from ...config import Config, input_files, user_modules
 from ...reference import KeyedScene
-from ..runs._progress import Stages
+from ..runs._progress import Progress
 from ..runs._setup import keyed_scenes, keys_of_references
 from ._work import Batch, reference_of
 
@@ -118,7 +116,7 @@ class Sender:
         """The scenes of `config`, built again only if it has another scene than the last."""
         text = json.dumps(config.model_dump(mode="json", warnings=False, include={"scene"}))
         if self._scene is None or self._scene[0] != text:
-            self._scene = text, keyed_scenes(config, Stages(Console(quiet=True)))
+            self._scene = text, keyed_scenes(config, Progress.quiet())
         return self._scene[1]
 
     def _upload(self, module: Path) -> None:

@@ -60,10 +60,11 @@ def report_sweep(folder: Path, record: SweepRecord, form: str | None = None) -> 
     axes = [axis for axis in sweep.axes if axis != _SEED]
     settings = _settings(folder, runs)
     figure = _figure(folder, sweep.plot, runs, settings, form)
-    good = _rows(runs, runs["status"] == OK)
+    good = {name: column[runs["status"] == OK] for name, column in runs.items()}
     summary = _summary(good, axes, metric_columns(sweep, list(runs)))
     failures, more_failures = _failures(runs, axes)
-    loose = [path for path in _pictures(folder) if figure is None or path.stem != "plot"]
+    pictures = sorted(path for path in folder.iterdir() if path.suffix in (".png", ".svg") and path.is_file())
+    loose = [path for path in pictures if figure is None or path.stem != "plot"]
     write_page(
         folder / REPORT,
         "sweep.html.j2",
@@ -124,10 +125,6 @@ def _check(runs: Columns, sweep: SweepConfig) -> None:
 def _is_gap(value: Any) -> bool:
     """Whether a run has no value: none, or NaN."""
     return value is None or value != value
-
-
-def _rows(runs: Columns, which: HostArray) -> Columns:
-    return {name: column[which] for name, column in runs.items()}
 
 
 def _distinct(column: HostArray) -> list[Any]:
@@ -220,11 +217,6 @@ def _figure(
     with tempfile.TemporaryDirectory() as scratch:
         write_plot(Path(scratch) / "plot.svg", curves, plot, settings)
         return style.themed((Path(scratch) / "plot.svg").read_text(encoding="utf-8"))
-
-
-def _pictures(folder: Path) -> list[Path]:
-    """All pictures directly in the folder."""
-    return sorted(path for path in folder.iterdir() if path.suffix in (".png", ".svg") and path.is_file())
 
 
 def _best(folder: Path, good: Columns) -> Path | None:

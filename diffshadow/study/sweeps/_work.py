@@ -16,7 +16,6 @@ import jax
 import numpy as np
 from jaxtyping import Float32
 from pydantic import ValidationError
-from rich.console import Console
 
 from ... import io, metrics, reference
 from ..._types import HostArray
@@ -37,7 +36,7 @@ from ..record._folder import folder_of, remove, write_whole
 from ..record._sweeps import Outcome
 from ..runs._fit import fit_technique
 from ..runs._measure import combined, noise
-from ..runs._progress import Stages
+from ..runs._progress import Progress
 from ..runs._render import SUFFIX, render_drawn
 from ..runs._setup import draw, load, visibility_of
 from ..runs._write import configs_of_fit, write_run, yaml_of
@@ -61,7 +60,6 @@ _LIMIT = {"pattern": "sobol", "early_out": False}
 _LIMIT_SEED = 0x11317
 
 # Making one takes half a millisecond.
-_QUIET = Console(quiet=True)
 
 Measured = dict[str, float | int | None]
 
@@ -207,44 +205,46 @@ def do(batch: Batch, run: SweepRun) -> Outcome:
     """
     started = time.perf_counter()
     _limit_programs(batch.shape)
-    stages = Stages(_QUIET)
+    progress = Progress.quiet()
     try:
-        config = _with_figures(batch, run) if batch.settings.figures else run.config
-        measured = _MEASURES[batch.settings.run](config, batch, stages)
+        config = run.config
+        if batch.settings.figures:
+            config = config.model_copy(update={"output": str(Path(batch.folder) / FIGURES), "name": run.id})
+        measured = _MEASURES[batch.settings.run](config, batch, progress)
         if run.frames:
-            measured[FLICKER] = _flicker(run.frames, stages)
+            measured[FLICKER] = _flicker(run.frames, progress)
         status, error = OK, None
     except Exception as problem:
         # No run is to blame for that, and the next ones would fail as well.
         if io.is_full_disk(problem):
             raise
         measured, status, error = {}, FAILED, f"{type(problem).__name__}: {problem}"
-    seconds = {**stages.seconds, "total": time.perf_counter() - started}
+    seconds = {**progress.seconds, "total": time.perf_counter() - started}
     return Outcome(id=run.id, status=status, error=error, metrics=measured, seconds=seconds)
 
 
-def _measure_render(config: Config, batch: Batch, stages: Stages) -> Measured:
-    drawn = _draw(config, stages)
-    rendered = render_drawn(config, build_technique(config, fitting=False), drawn, stages)
+def _measure_render(config: Config, batch: Batch, progress: Progress) -> Measured:
+    drawn = _draw(config, progress)
+    rendered = render_drawn(config, build_technique(config, fitting=False), drawn, progress)
     measured: Measured = dict(combined(rendered.errors, drawn))
     if batch.settings.limit_samples is not None:
-        limits = _limits(config, batch.settings.limit_samples, drawn, batch.folder, stages)
+        limits = _limits(config, batch.settings.limit_samples, drawn, batch.folder, progress)
         away = [
             {"rmse": metrics.rmse(image, limit, each.mask) if each.pixels else np.nan}
             for image, limit, each in zip(rendered.visibility, limits, drawn, strict=True)
         ]
         measured[LIMIT_ERROR] = combined(away, drawn)["rmse"]
     if batch.settings.figures:
-        with stages.stage("figures"):
-            write_run(folder_of(config, SUFFIX), rendered, stages.seconds, "render")
+        with progress.stage("figures"):
+            write_run(folder_of(config, SUFFIX), rendered, progress.seconds, "render")
     return {**measured, **_of_reference(drawn)}
 
 
-def _measure_fit(config: Config, batch: Batch, stages: Stages) -> Measured:
-    fitted = fit_technique(config, stages)
+def _measure_fit(config: Config, batch: Batch, progress: Progress) -> Measured:
+    fitted = fit_technique(config, progress)
     if batch.settings.figures:
-        with stages.stage("figures"):
-            write_run(folder_of(config), fitted, stages.seconds)
+        with progress.stage("figures"):
+            write_run(folder_of(config), fitted, progress.seconds)
     return {
         **{f"{FITTED}{name}": value for name, value in fitted.result.fitted.items()},
         **{f"{when}.{name}": value for when, errors in fitted.errors.items() for name, value in errors.items()},
@@ -265,15 +265,15 @@ def _of_reference(drawn: list[Drawn]) -> Measured:
     return {"reference_noise_floor": noise(drawn), "pixels": sum(each.pixels for each in drawn)}
 
 
-def _draw(config: Config, stages: Stages) -> list[Drawn]:
-    compute = lambda: draw(config, load(config, stages), build_technique(config, fitting=False), stages)
+def _draw(config: Config, progress: Progress) -> list[Drawn]:
+    compute = lambda: draw(config, load(config, progress), build_technique(config, fitting=False), progress)
     return _kept(("drawing", drawing_of(config)), compute)
 
 
-def _flicker(frames: Sequence[Config], stages: Stages) -> float:
+def _flicker(frames: Sequence[Config], progress: Progress) -> float:
     """How much the shadows of all lights shimmer from frame to frame."""
-    drawn = [_draw(frame, stages) for frame in frames]
-    with stages.stage("flicker"):
+    drawn = [_draw(frame, progress) for frame in frames]
+    with progress.stage("flicker"):
         techniques = [build_technique(frame, fitting=False) for frame in frames]
         found = []
         for lights in zip(*drawn, strict=True):
@@ -285,7 +285,7 @@ def _flicker(frames: Sequence[Config], stages: Stages) -> float:
 
 
 def _limits(
-    config: Config, samples: int, drawn: list[Drawn], folder: str, stages: Stages
+    config: Config, samples: int, drawn: list[Drawn], folder: str, progress: Progress
 ) -> list[Float32[HostArray, "h w"]]:
     """The visibility of each light with very many taps; the same for all patterns, numbers of taps and seeds."""
     assert isinstance(config.filter, RandomDisk)
@@ -301,13 +301,8 @@ def _limits(
         found = io.cached_arrays([key, mesh.vertices, mesh.faces], make, Path(folder) / LIMITS)
         return [found[str(i)] for i in range(len(drawn))]
 
-    with stages.stage("limit"):
+    with progress.stage("limit"):
         return _kept(("limit", key), compute)
-
-
-def _with_figures(batch: Batch, run: SweepRun) -> Config:
-    """The configuration of a run that also writes figures, with a folder for them."""
-    return run.config.model_copy(update={"output": str(Path(batch.folder) / FIGURES), "name": run.id})
 
 
 _memory: OrderedDict[tuple[str, str], Any] = OrderedDict()
