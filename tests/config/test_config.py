@@ -352,18 +352,18 @@ technique: {type: resolution_matched, page: 48}
 technique: {type: resolution_matched, page: 64, finest: 64}
     2: technique.finest: is 64, and pages are 64 texels wide; expected from 2 to 1024 pages; change it, or page
 technique: {type: resolution_matched, page: 16}↵filter: {type: pcf, radius: 9}
-    3: filter.radius: lets the filter read 9.5 texels away, further than a gutter of technique.page = 16; expected at
+    3: filter.radius: lets the filter read 9 texels away, further than a gutter of technique.page = 16; expected at
     most 7; enlarge technique.page, or lower it
 technique: {type: cascades, margin: 1}↵filter: {type: pcf, radius: 12}
-    2: technique.margin: is 1, and the filter reads 12.5 texels away, where the map may end; expected at least 12.5;
-    raise it, or remove it
+    2: technique.margin: is 1, and the filter reads 12 texels away, where the map may end; expected at least 12; raise
+    it, or remove it
 technique: {type: resolution_matched, margin: 2}↵filter: {type: nearest}↵bias: {normal_offset: 3}↵
 fit: {parameters: {bias.constant: {lower: 0, upper: 1}}}
     2: technique.margin: is 2, and the filter reads 3 texels away, where the map may end; expected at least 3; raise
     it, or remove it
 technique: {type: perspective_warp, margin: 4}↵fit: {parameters: {filter.radius: {lower: 0, upper: 6}}}
-    2: technique.margin: is 4, and fit.parameters.filter.radius.upper lets the filter read 7 texels away, where the
-    map may end; expected at least 7; raise it, or remove it
+    2: technique.margin: is 4, and fit.parameters.filter.radius.upper lets the filter read 6.5 texels away, where the
+    map may end; expected at least 6.5; raise it, or remove it
 fit: {parameters: {}}
     2: fit.parameters: is empty; expected at least one parameter to fit; add 'bias.constant: {lower: 0, upper: 10}'
 fit: {anneal: {end: 3}}
@@ -694,8 +694,8 @@ POINT = "scene: {meshes: [{path: 'builtin:box'}], light: {type: point}}\n"
     [
         (
             "filter:\n  type: pcf\n  radius: 50\n",
-            "4: filter.radius: lets the filter read 50.5 texels away, beyond the edge of a face of a point light's "
-            "map; expected at most 46.5 texels, which scene.light.guard = 0.1 allows; raise scene.light.guard to 0.11, "
+            "4: filter.radius: lets the filter read 50 texels away, beyond the edge of a face of a point light's map; "
+            "expected at most 46.5 texels, which scene.light.guard = 0.1 allows; raise scene.light.guard to 0.11, "
             "raise shadow_map.resolution, or lower filter.radius",
         ),
         (
@@ -706,7 +706,7 @@ POINT = "scene: {meshes: [{path: 'builtin:box'}], light: {type: point}}\n"
         ),
         (
             "fit: {parameters: {filter.radius: {lower: 0, upper: 60}}}\n",
-            "2: fit.parameters.filter.radius.upper: lets the filter read 61 texels away",
+            "2: fit.parameters.filter.radius.upper: lets the filter read 60.5 texels away",
         ),
         ("filter: {type: pcss, max_radius: 47}\n", "2: filter.max_radius: lets the filter read 47.5 texels away"),
     ],
@@ -1048,6 +1048,13 @@ def test_without_a_bias_there_is_the_one_that_holds_over_many_scenes(section, ex
     # To a constant and a slope of one's own, no normal offset is added.
     assert parse_config(f"{text}bias: {{constant: 1, slope: 1}}").bias.normal_offset == 0
     assert parse_config(f"{text}bias: {{slope_most: 9}}").bias.normal_offset == bias.normal_offset
+    # Nor where a map's borders limit how far a filter reads.
+    for tight in ("technique: {type: resolution_matched}", "technique: {type: cascades, margin: 9}"):
+        assert parse_config(f"{text}{tight}").bias.normal_offset == 0
+    lamp = parse_config(
+        f"{text}scene: {{light: {{type: point, position: [0, 3, 0]}}, meshes: [path: builtin:box]}}".replace(TINY, "")
+    )
+    assert (lamp.bias.constant, lamp.bias.normal_offset) == (bias.constant, 0)
     assert parse_config(f"{text}bias: {{slope: 0}}").bias.slope == 0
     for own in ("{terms: {slope: 1}}", "{unit: depth}"):
         given = parse_config(f"{text}bias: {own}").bias

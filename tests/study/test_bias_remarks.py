@@ -7,7 +7,7 @@ from rich.console import Console
 
 from diffshadow.config import build_technique, parse_config
 from diffshadow.study.remarks._bias import bias_remarks
-from diffshadow.study.runs._progress import Stages
+from diffshadow.study.runs._progress import Progress
 from diffshadow.study.runs._setup import load, see
 
 SCENE = """
@@ -25,7 +25,7 @@ shadow_map: {{resolution: [256, 256]}}
 def remarks(*overrides, height=1.8, more=""):
     config = parse_config(SCENE.format(height=height, more=more), overrides)
     technique = build_technique(config)
-    with Stages(Console(quiet=True)) as stages:
+    with Progress(Console(quiet=True)) as stages:
         seen = see(config, load(config, stages).scene, technique, stages)
     return list(bias_remarks(config, technique, ["scene.light"], seen.lit, seen.states))
 

@@ -456,14 +456,28 @@ _PLANES = ({}, {"type": "none"}, {"type": "receiver_plane"})
 
 def with_bias(data: Mapping[str, Any]) -> Mapping[str, Any]:
     """The data of a configuration with a constant and a slope bias, and a normal offset unless both are given. What is
-    no valid section is reported elsewhere."""
+    no valid section is reported elsewhere.
+
+    A normal offset lets the filter read farther, so there is none by itself where a map's borders limit that.
+    """
     bias, kernel = data.get("bias", {}), data.get("filter", {})
     if not isinstance(bias, Mapping) or not isinstance(kernel, Mapping):
         return data
     rule = {key: _within(data, key, value) for key, value in _rule(bias, kernel)._asdict().items()}
-    if "constant" in bias and "slope" in bias:
+    if ("constant" in bias and "slope" in bias) or _has_near_borders(data):
         rule.pop("normal_offset")
     return {**data, "bias": {**rule, **bias}}
+
+
+def _has_near_borders(data: Mapping[str, Any]) -> bool:
+    """Whether a filter can read beyond a map's part: a point light's face, a page, or a margin that is given."""
+    lights = value_at(data, "scene", "lights")
+    every = [value_at(data, "scene", "light"), *(lights if isinstance(lights, list | tuple) else ())]
+    if any(value_at(light, "type") == "point" for light in every):
+        return True
+    return (
+        value_at(data, "technique", "type") == "resolution_matched" or value_at(data, "technique", "margin") is not None
+    )
 
 
 def _has_terms(bias: Mapping[str, Any]) -> bool:
