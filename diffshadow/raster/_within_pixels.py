@@ -56,7 +56,7 @@ def points_within_pixels(surface: Surface, camera: AbstractCamera, count: int) -
 
         ```python
         points = raster.points_within_pixels(surface, camera, 8)
-        points.mean(technique.visibility(shadow_map, points.surface)).shape  # (32, 32)
+        points.mean(technique.visibility(state, points.surface)).shape  # (32, 32)
         ```
     """
     check_value("the count of points", count, PixelPointCount)

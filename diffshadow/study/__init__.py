@@ -20,6 +20,7 @@ from .runs._render import run_render
 from .runs._save import save_fit
 from .runs._setup import trace as trace
 from .runs._shape import shadow_on as shadow_on
+from .runs._shape import shape_problem as shape_problem
 from .runs._visibility import pose_problems as pose_problems
 
 __all__ = [

@@ -31,7 +31,7 @@ if number < 0:
     jax.config.update("jax_num_cpu_devices", devices)
 else:
     jax.distributed.initialize(sys.argv[4], devices, number)
-from test_devices import layouts, views
+from test_devices import views
 from diffshadow.fit import Anneal, Loss, Parameter, Search, Solver, fit
 """
 # Fits, and prints what it found.

@@ -89,11 +89,12 @@ class FittedShapeRun:
         io.write_animation(draft / PROGRESS, progress(self.steps), 120)
 
 
-def shape_problem(config: Config, progress: Progress) -> tuple[ShapePlan, fit.ShapeProblem, list[Image]]:
+def shape_problem(config: Config, progress: Progress | None = None) -> tuple[ShapePlan, fit.ShapeProblem, list[Image]]:
     """The plan of `config`, whose section `fit.shape` is given, its problem, and the problem's targets.
 
     **Raises** `ConfigError` for a mesh, a light or an image that cannot be used.
     """
+    progress = Progress.quiet() if progress is None else progress
     with progress.stage("loading"):
         plan = build_shape(config)
     with progress.stage("tracing targets"):
