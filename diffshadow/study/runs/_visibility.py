@@ -2,6 +2,7 @@
 arrays and their pictures."""
 
 import dataclasses
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -12,6 +13,7 @@ from jaxtyping import Float32
 
 from ... import fit, shadow
 from ..._types import HostArray
+from ..._words import counted
 from ...config import Config, FitPlan, build_shadow_mapping
 from ...geometry import Scene
 from .._drawn import Drawn
@@ -123,9 +125,9 @@ class FittedRun:
         ]
 
     def _bias_remarks(self) -> Iterator[str]:
-        """What the fitted bias hides, once for all views that it is the same for."""
+        """What the fitted bias hides in the first views, once for all that it is the same for."""
         found: dict[str, int] = {}
-        for view, part in self.views.parts:
+        for view, part in itertools.islice(self.views.parts, _MAX_SHOWN):
             if view.config is not None:
                 drawn = self.after.drawn[part]
                 parts = ([each.key for each in drawn], [each.scene for each in drawn], [each.state for each in drawn])
@@ -133,7 +135,8 @@ class FittedRun:
                     found[sentence] = found.get(sentence, 0) + 1
         if found:
             first, others = next(iter(found)), sum(found.values()) - 1
-            yield f"{first} (one of {others + 1} such views and lights)" if others else first
+            more = f" ({counted(others, 'more such light')} in the first {_MAX_SHOWN} views)" if others else ""
+            yield f"{first}{more}"
 
     @property
     def mapped(self) -> list[Drawn]:
@@ -332,8 +335,7 @@ def states_of(
             images, seen = _arranged(result.problems, drawn, subject)
         else:
             seen = _laid_out(subject, laid_out, drawn)
-            counted = progress.counted(f"image {when} the fit", seen)
-            images = [visibility_of(subject, each) for each in counted]
+            images = [visibility_of(subject, each) for each in progress.counted(f"image {when} the fit", seen)]
         pairs = progress.counted("errors of image", list(zip(images, drawn, strict=True)))
         states.append(State(images, seen, [measured(*pair) for pair in pairs]))
     return states[0], states[1]
