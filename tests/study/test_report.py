@@ -196,7 +196,7 @@ def test_comparison_prints_and_shows_what_differs(tmp_path):
     check_alone(parsed)
     printed = out.getvalue()
     (line,) = [line for line in printed.splitlines() if "bias.slope" in line]
-    assert re.findall(r"\d\.\d+", line) == ["1.5", "0.25"]
+    assert re.findall(r"\d\.\d+", line) == ["1.0", "0.25"]
     assert "filter.samples" not in printed
     assert "bias.slope 1.5 0.25 texels" in parsed.text
     # The same shadow is one reference; folders of one name are told apart by their paths.

@@ -147,7 +147,7 @@ def converted(config, origin: str = "") -> str:
 def test_a_finished_fit_is_converted_with_its_fitted_values(finished):
     folder, _, _ = finished
     file, origin = settings_file(folder / "config.yaml")
-    config = load_config(file, ["bias.slope=0"])
+    config = load_config(file, ["bias.slope=0", "bias.normal_offset=0"])
     said = converted(config, origin)
     assert said.startswith(f"the values come from the fit, {folder / 'fitted.yaml'}")
     # Texels are its unit.
