@@ -198,7 +198,7 @@ def test_comparison_prints_and_shows_what_differs(tmp_path):
     (line,) = [line for line in printed.splitlines() if "bias.slope" in line]
     assert re.findall(r"\d\.\d+", line) == ["1.0", "0.25"]
     assert "filter.samples" not in printed
-    assert "bias.slope 1.5 0.25 texels" in parsed.text
+    assert "bias.slope 1.0 0.25 texels" in parsed.text
     # The same shadow is one reference; folders of one name are told apart by their paths.
     assert parsed.names[:3] == [f"{first}, shaded", f"{second}, shaded", "Reference"]
     assert parsed.names[3:5] == [str(first), str(second)]
