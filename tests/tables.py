@@ -1,4 +1,4 @@
-"""Tables of mistakes, written as text: a line of what is given, and indented below it what must be said of it."""
+"""Tables of mistakes as text: each row has a line with the input, and the expected message indented below it."""
 
 
 def cases(table: str) -> list[tuple[str, str]]:

@@ -199,8 +199,7 @@ def _found(run: Run, path: Trajectory, tried: list[Start], sureness: Sureness) -
 
     Within a run, values are counted from the parameters' offsets. Here they leave it, as the reporter's steps do.
     """
-    told = run.told
-    named = lambda values: dict(zip(run.names, told(values), strict=True))
+    named = lambda values: dict(zip(run.names, run.with_offsets(values), strict=True))
     best = path.chosen(run.solver.noise or 0.0)
     values, least, profiles = _chosen(run, path.values[best], sureness)
     front = front_of(run, least, sureness.front) if sureness.front else []
@@ -209,20 +208,22 @@ def _found(run: Run, path: Trajectory, tried: list[Start], sureness: Sureness) -
         "technique": end.technique,
         "initial": named(path.values[0]),
         "fitted": named(values),
-        "phases": [phase._replace(values=told(phase.values)) for phase in path.outcomes],
+        "phases": [phase._replace(values=run.with_offsets(phase.values)) for phase in path.outcomes],
         "chosen": best - 1,
         "history": run.history,
         "flat": run.flat(path),
         "arrangement": end.subject if end.moves else None,
         "precision": run.precision(path, best - 1),
-        "starts": [start._replace(initial=told(start.initial), end=told(start.end)) for start in tried],
+        "starts": [
+            start._replace(initial=run.with_offsets(start.initial), end=run.with_offsets(start.end)) for start in tried
+        ],
         "enlargements": run.enlargements,
         "problems": run.judge.joint.problems,
         "profiles": [
             each.shifted(p.offset) if p.offset else each for each, p in zip(profiles, run.given, strict=False)
         ],
         "best": named(least),
-        "front": [point._replace(values=told(point.values)) for point in front],
+        "front": [point._replace(values=run.with_offsets(point.values)) for point in front],
         "at_bounds": at_bounds(run, run.given, values),
         "errors": (root(path.losses[0]), run.error(least)),
         "is_own_loss": run.judge.joint.own is not None,

@@ -103,7 +103,7 @@ def _dispatch_overflow(token, overflow, y):
 class Reporter:
     """Collects the steps of one fit. A compiled phase outlives it, so it is found by number.
 
-    `told`: the values of a step as they are told, from those that are counted from the parameters' offsets.
+    `with_offsets`: adds the parameters' offsets to the values of a step.
     """
 
     def __init__(
@@ -111,10 +111,10 @@ class Reporter:
         parameters: Parameters,
         history: list[Step],
         on_step: Callable[[Step], None] | None,
-        told: Callable[[tuple[float, ...]], tuple[float, ...]] = lambda values: values,
+        with_offsets: Callable[[tuple[float, ...]], tuple[float, ...]] = lambda values: values,
     ):
         self.lower, self.upper = np.asarray(parameters.lower), np.asarray(parameters.upper)
-        self.history, self.on_step, self.told = history, on_step, told
+        self.history, self.on_step, self.with_offsets = history, on_step, with_offsets
         self.number = next(_TOKENS)
         self.token = as_int(self.number)
         self.start, self.phase, self.width, self.step, self.scale = 0, 0, 0.0, 0, 1.0
@@ -153,7 +153,7 @@ class Reporter:
 
     def record(self, loss: float, values: tuple[float, ...]) -> None:
         """One more evaluation, of `loss` at `values` (p,) of all parameters."""
-        step = Step(self.phase, self.step, self.width, loss, self.told(values), self.start)
+        step = Step(self.phase, self.step, self.width, loss, self.with_offsets(values), self.start)
         self.step += 1
         self.history.append(step)
         if self.on_step is not None:

@@ -130,13 +130,13 @@ class Run:
         self.judge, self.phases, self.solver, self.evaluations = judge, phases, solver, evaluations
         self.history: list[Step] = []
         self.update = update
-        self.reporter = Reporter(self.parameters, self.history, on_step, self.told)
+        self.reporter = Reporter(self.parameters, self.history, on_step, self.with_offsets)
         self.slopes = np.zeros(len(parameters))
         self.enlargements = 0
         self.seconds_compiling = 0.0
         self._programs: dict[Any, dict[Any, Any]] = {}
 
-    def told(self, values: Values) -> Values:
+    def with_offsets(self, values: Values) -> Values:
         """`values` (p,) as the parameters were given, rather than counted from their offsets."""
         return tuple(value + p.offset if p.offset else value for value, p in zip(values, self.given, strict=True))
 

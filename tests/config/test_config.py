@@ -159,7 +159,7 @@ def test_no_text_ends_in_another_error(text):
         parse_config(text)
 
 
-# Each fault alone: the line it is on, the key, what is said. Those of scenes have no other section.
+# One fault a row: its line, its key and the message. Rows on scenes contain no other section.
 FAULTS = cases("""
 filter:↵  radius: 2↵  sampels: 64
     4: filter.sampels: is not a key of filter (type: random_disk); expected type, radius, lookup, early_out, pattern,

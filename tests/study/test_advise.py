@@ -256,7 +256,7 @@ def test_recommended_is_the_fastest_of_the_good_and_the_best_of_the_equally_fast
 
 
 def test_the_cheapest_of_those_within_the_noise_is_recommended():
-    """Several techniques are equal within the noise. The one that costs 2.91 times as much must not be chosen."""
+    """Several techniques have equal errors within the noise. The one that takes 2.91 times as long is not chosen."""
     dear, cheap, near = candidate("dear", 0.100, 2.91), candidate("cheap", 0.108, 1.27), candidate("near", 0.107, 1.3)
     bad = candidate("bad", 0.2, 1.0)
     everything = [dear, cheap, near, bad]

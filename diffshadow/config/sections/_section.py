@@ -71,7 +71,7 @@ class Section(BaseModel, Settings):
 
     @classmethod
     def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
-        """Faults that are reported together with those of single keys. Values of `data` may have any type."""
+        """Faults of `data` before its keys are checked one by one. Its values may have any type."""
         yield from ()
 
     def faults(self) -> Iterator[Conflict]:
@@ -122,7 +122,7 @@ class Section(BaseModel, Settings):
 
 
 def _faults_of_rest(section: type[Section], data: Any, invalid: Iterable[KeyPath]) -> Iterator[Conflict]:
-    """The faults between keys of a section that can be told without its `invalid` keys, which it then lacks."""
+    """The faults between the valid keys of a section, which is checked without its `invalid` keys."""
     if isinstance(data, Mapping):
         rest = unchecked(section, data)
         for location in invalid:

@@ -76,7 +76,7 @@ def _program_of(technique: Any) -> Hashable:
 
 
 def judged(config: Config) -> tuple[Any, list[Drawn]]:
-    """The technique of a fitted `config`, and what it is judged on: its validation, or what the fit sees."""
+    """The technique of a fitted `config`, and the scenes that judge it: the validation views, or else all views."""
     technique, views = _drawn(config)
     return technique, [each for view in views.validation or views.fitted for each in view.drawn]
 

@@ -25,7 +25,7 @@ from ._table import (
 
 CODE = "engine.js"
 """The file in a run's folder that holds an engine's code."""
-# Of several starts, the losses of so many are printed.
+# The console lists the losses of at most this many starts.
 _MAX_STARTS = 8
 
 

@@ -43,7 +43,7 @@ class Part(BaseModel):
 
     @classmethod
     def of(cls, source: Any, **more: Any) -> Self:
-        """The part whose fields are those of `source` of the same names, and `more`."""
+        """A part that takes each of its fields from `more`, or else from the attribute of `source` with its name."""
         names = [name for name in cls.model_fields if name not in more and hasattr(source, name)]
         return cls(**{name: getattr(source, name) for name in names}, **more)
 

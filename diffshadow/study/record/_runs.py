@@ -366,7 +366,7 @@ class PictureErrors(Part):
 
 
 class PictureMetrics(Part):
-    """How far pictures are from the one that they are fitted to."""
+    """The errors of the drawn pictures against the reference picture."""
 
     before: PictureErrors
     after: PictureErrors

@@ -20,7 +20,7 @@ from ._parts import SLACK
 
 ARRAYS, REPORT = "arrays.npz", "report.html"
 STATES = ("reference", "before", "after")
-"""The names of the arrays of a fit's images: what it is fitted to, and what is drawn before and after it."""
+"""The names of the arrays with a fit's images: the reference, and the images drawn before and after the fit."""
 
 
 class LightImages(NamedTuple):
@@ -81,7 +81,7 @@ class VisibilityRun[Of: records.VisibilityRecord](StoredRun[Of]):
 
     @cached_property
     def is_of_views(self) -> bool:
-        """Whether it is a fit to several views, of which the worst have pictures."""
+        """Whether it is a fit to several views. Only the worst views have pictures."""
         return isinstance(self.record, records.FitRecord) and self.record.metrics.shown is not None
 
     @cached_property

@@ -1,5 +1,5 @@
-"""The shadows of engines: fits of those of three.js and Babylon.js, with parameters and bounds that suit a scene, and
-what fits say in an engine's own units."""
+"""Fits of engines' shadows: parameters and bounds for three.js and Babylon.js that suit a scene, and results in an
+engine's own units."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple

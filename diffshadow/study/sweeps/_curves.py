@@ -7,6 +7,7 @@ import numpy as np
 
 from ..._types import HostArray
 from ...config import PlotConfig, Row
+from ._table import values_of
 
 
 def unit_of(settings: Sequence[Row], key: str) -> str:
@@ -42,8 +43,7 @@ class Curve(NamedTuple):
 def columns_for(plot: PlotConfig, table: Mapping[str, HostArray]) -> dict[str, list[Any]]:
     """The columns of a table of results that `plot` needs, as far as they exist, with none where a run has no value."""
     needed = {plot.x, plot.y, plot.lines, plot.panels, "seed"}
-    known = lambda values: [None if value != value else value for value in values]
-    return {name: known(column.tolist()) for name, column in table.items() if name in needed}
+    return {name: values_of(column) for name, column in table.items() if name in needed}
 
 
 def curves_of(columns: Mapping[str, Sequence[Any]], plot: PlotConfig) -> list[Curve]:

@@ -19,7 +19,7 @@ from ...config import ConfigError, PlotConfig, Row, SweepConfig, describe, load_
 from ..record._stored import CONFIG, REPORT
 from ..record._sweeps import SweepRecord
 from ._curves import columns_for, curves_of, unit_of, with_unit
-from ._table import MISSING, Columns, metric_columns, read_columns, table_of
+from ._table import MISSING, Columns, is_gap, metric_columns, read_columns, table_of
 from ._work import FAILED, FIGURES, OK, RUNS
 
 _SEED = "seed"
@@ -109,7 +109,7 @@ def _check(runs: Columns, sweep: SweepConfig) -> None:
         if name not in runs:
             raise ValueError(f"it has no column {name}")
     for name, column in runs.items():
-        given = [value for value in column.tolist() if not _is_gap(value)]
+        given = [value for value in column.tolist() if not is_gap(value)]
         is_text = name in ("id", "status", "error")
         kinds = str if is_text else str | int | float if name in sweep.axes else int | float
         odd = next((value for value in given if not isinstance(value, kinds)), None)
@@ -122,14 +122,9 @@ def _check(runs: Columns, sweep: SweepConfig) -> None:
         raise ValueError("its column id holds values that are not identifiers of runs")
 
 
-def _is_gap(value: Any) -> bool:
-    """Whether a run has no value: none, or NaN."""
-    return value is None or value != value
-
-
 def _distinct(column: HostArray) -> list[Any]:
     """The values of a column, each once, in their order."""
-    return [value for value in dict.fromkeys(column.tolist()) if not _is_gap(value)]
+    return [value for value in dict.fromkeys(column.tolist()) if not is_gap(value)]
 
 
 def _summary(good: Columns, axes: Sequence[str], metrics: Sequence[str]) -> Summary:
@@ -138,7 +133,7 @@ def _summary(good: Columns, axes: Sequence[str], metrics: Sequence[str]) -> Summ
     groups: dict[tuple[Any, ...], list[int]] = {}
     for row in range(len(good["id"])):
         values = (good[axis][row] for axis in axes)
-        groups.setdefault(tuple(None if _is_gap(value) else value for value in values), []).append(row)
+        groups.setdefault(tuple(None if is_gap(value) else value for value in values), []).append(row)
     numbers = {name: good[name].astype(np.float64) for name in metrics}
     rows = [
         ([_text(value) for value in key], [_mean(numbers[name][group]) for name in metrics], len(group))
@@ -160,7 +155,7 @@ def _mean(values: Float[HostArray, " n"]) -> str:
 
 
 def _text(value: Any) -> str:
-    if _is_gap(value):
+    if is_gap(value):
         # An entry of the list that does not set this key.
         return "–"
     return f"{value:g}" if isinstance(value, float) else str(value)
@@ -185,7 +180,7 @@ def _failures(runs: Columns, axes: Sequence[str]) -> tuple[list[tuple[str, int, 
 
 def _values(runs: Columns, row: int, axes: Sequence[str]) -> str:
     values = {axis: runs[axis][row] for axis in (*axes, _SEED)}
-    return ", ".join(f"{axis} = {_text(value)}" for axis, value in values.items() if not _is_gap(value))
+    return ", ".join(f"{axis} = {_text(value)}" for axis, value in values.items() if not is_gap(value))
 
 
 def _settings(folder: Path, runs: Columns) -> list[Row]:

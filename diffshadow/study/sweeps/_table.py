@@ -75,10 +75,19 @@ def metric_columns(settings: SweepConfig, columns: Sequence[str]) -> list[str]:
     return [name for name in columns if name not in (*_OWN, *settings.axes)]
 
 
+def is_gap(value: Any) -> bool:
+    """Whether a run has no value: none, or NaN."""
+    return value is None or value != value
+
+
+def values_of(column: HostArray) -> list[Any]:
+    """The values of a column, with none where a run has no value."""
+    return [None if is_gap(value) else value for value in column.tolist()]
+
+
 def rows_of(columns: Columns) -> list[dict[str, Any]]:
     """The rows of a table, with none where a run has no value."""
-    known = ([None if value != value else value for value in column.tolist()] for column in columns.values())
-    return [dict(zip(columns, row, strict=True)) for row in zip(*known, strict=True)]
+    return [dict(zip(columns, row, strict=True)) for row in zip(*map(values_of, columns.values()), strict=True)]
 
 
 def write_tables(folder: Path, sweep: Sweep, tables: Tables) -> None:
