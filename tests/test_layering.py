@@ -50,7 +50,7 @@ FOLDERS = {
         *("_fit", "_train", "_moving_lights", "_shape_steps", "_shape_program", "_shape"),
     ),
     "config": ("sections", "framing", "reading", "building"),
-    "study": ("record", "pages", "imports", "_drawn", "remarks", "runs", "sweeps", "advice", "_report"),
+    "study": ("record", "pages", "imports", "exports", "_drawn", "remarks", "runs", "sweeps", "advice", "_report"),
 }
 # Outside the order: what each may import, and which may import it.
 ASIDE_IMPORTS = {"reference": {"geometry"}, "metrics": set(), "io": {"geometry"}, "_xla": set(), "_memory": set()}

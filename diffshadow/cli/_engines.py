@@ -1,10 +1,11 @@
-"""Commands for engines: convert, defaults and import."""
+"""Commands for engines and other renderers: convert, export, defaults and import."""
 
 from pathlib import Path
 
 from ..config import load_config, settings_file
 from ..console import Console
 from ..settings.engines import EngineName, ImportedTechnique, ShadowType, ThreeJs
+from ..settings.techniques import ShaderLanguage
 from ._app import app, print_notes, print_path
 from ._jax import start_jax
 
@@ -37,6 +38,38 @@ def convert(config: Path, /, *overrides: str) -> None:
     from .. import study
 
     study.convert(settings, console=Console(), origin=origin, source=config, overrides=overrides)
+
+
+@app.command
+def export(config: Path, /, *overrides: str, shader: ShaderLanguage = "glsl", output: Path | None = None) -> None:
+    """Writes the shadows of CONFIG as a shader for a renderer of one's own.
+
+    Of a finished fit, it takes the fitted values. The folder also holds the scene, the light's matrices, and a page
+    that says how the shadow map is to be drawn in OpenGL, WebGPU and Direct3D. Its path is the last line printed.
+
+    Example: `diffshadow export runs/quickstart`
+
+    Example: `diffshadow export configs/quickstart.yaml --shader wgsl --output my_shadow`
+
+    Parameters
+    ----------
+    config
+        YAML file with technique type shadow_map, mesh file, folder of a finished run or builtin:NAME.
+    overrides
+        KEY=VALUE pairs that replace values of the file, such as `bias.constant=2`.
+    shader
+        Language: glsl (3.30 or ES 3.00), wgsl or hlsl (shader model 5).
+    output
+        Folder to write to, by default one named like the configuration, in the current folder.
+    """
+    file, origin = settings_file(config)
+    settings = load_config(file, overrides)
+    print_notes(settings.notes)
+    start_jax()
+    from .. import study
+
+    folder = Path(f"{settings.name}-shader") if output is None else output
+    print_path(study.export_shader(settings, folder, shader, console=Console(), origin=origin))
 
 
 @app.command

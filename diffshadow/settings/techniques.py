@@ -18,6 +18,8 @@ WarpMethod = Literal["lispsm", "perspective", "trapezoidal"]
 LevelNorm = Literal["area", "worst"]
 """Which size of a texel on the screen is matched to a pixel: its area, or its longest extent."""
 VolumeMethod = Literal["z_fail", "z_pass"]
+ShaderLanguage = Literal["glsl", "wgsl", "hlsl"]
+"""What shaders are exported to: GLSL 3.30 or ES 3.00, WGSL, HLSL of shader model 5."""
 
 MARGIN = 8.0
 """Margin of a layout's maps that is made without a filter to know the reach of, in texels."""

@@ -7,7 +7,6 @@ from ..settings.techniques import LevelNorm, WarpMethod
 from ._aliasing import Aliasing, aliasing
 from ._compare import AbstractCompare, HardCompare, SoftCompare
 from ._draw_map import MapPlan, MapSettings, draw_shadow_map, plan_crossings
-from ._glsl import to_glsl
 from ._irregular import IrregularScene, IrregularZBuffer
 from ._lookup import Lookup, look_up
 from ._map import Overflow, ShadowMap
@@ -58,6 +57,7 @@ from .layouts import Choice as Choice
 from .layouts import LayerFigure as LayerFigure
 from .layouts import MapFigure as MapFigure
 from .patterns import Pattern, halton, poisson_disk, sobol, stratified, uniform, vogel
+from .shaders import to_shader
 from .silhouettes import SilhouetteMap
 
 __all__ = [
@@ -140,7 +140,7 @@ __all__ = [
     "shadow_volumes",
     "sobol",
     "stratified",
-    "to_glsl",
+    "to_shader",
     "uniform",
     "vogel",
 ]

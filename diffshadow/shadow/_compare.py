@@ -13,6 +13,7 @@ from .._checks import CheckedModule
 from .._types import AsScalar
 from ..settings import maps
 from ..settings.maps import DepthOperator, SoftKernel
+from ._shader import Constant, ShaderPart, number
 
 
 class AbstractCompare(CheckedModule):
@@ -39,6 +40,15 @@ class AbstractCompare(CheckedModule):
         - `depth_per_texel`: window depth per texel width at the receiver.
         """
 
+    def shader(self) -> ShaderPart:
+        """The function `shadow_compare` of a shader.
+
+        **Raises** `ValueError` if it has none.
+        """
+        raise ValueError(
+            f"the compare is of type {type(self).__name__}, which has no shader; expected HardCompare or SoftCompare"
+        )
+
 
 class HardCompare(AbstractCompare):
     """The compare of graphics hardware: 1 if lit, 0 if shadowed. Its gradient is zero everywhere.
@@ -64,6 +74,10 @@ class HardCompare(AbstractCompare):
     def __call__(self, stored, receiver, depth_per_texel):
         lit = receiver <= stored if self.operator == "less_equal" else receiver < stored
         return lit.astype(stored.dtype)
+
+    def shader(self) -> ShaderPart:
+        operator = "<=" if self.operator == "less_equal" else "<"
+        return ShaderPart((), _FUNCTION.format(f"shadow_select(0.0, 1.0, receiver {operator} stored)"))
 
 
 def _exponential(t: Array) -> Array:
@@ -92,6 +106,20 @@ _KERNELS = {
 }
 
 
+# The same in a shader.
+_IN_SHADER = {
+    "logistic": "1.0 / (1.0 + exp(-({t})))",
+    "linear": "clamp(0.5 * {t} + 0.5, 0.0, 1.0)",
+    "smoothstep": "smoothstep(-1.0, 1.0, {t})",
+    "exponential": "exp(min({t}, 0.0))",
+}
+_FUNCTION = """// 1 where the receiver is lit, 0 where the stored depth shadows it.
+float shadow_compare(float stored, float receiver, float depth_per_texel) {{
+    return {};
+}}
+"""
+
+
 class SoftCompare(AbstractCompare):
     """A compare that rises smoothly from shadowed to lit, `k((stored - receiver) / width)`.
 
@@ -115,3 +143,12 @@ class SoftCompare(AbstractCompare):
 
     def __call__(self, stored, receiver, depth_per_texel):
         return _KERNELS[self.kernel]((stored - receiver) * (1 / (self.width * depth_per_texel)))
+
+    def shader(self) -> ShaderPart:
+        if self.kernel not in _IN_SHADER:
+            raise ValueError(
+                f"the compare has the kernel {self.kernel}, which has no shader; expected {', '.join(_IN_SHADER)}"
+            )
+        width = Constant("COMPARE_WIDTH", number(self.width), "of the soft compare, in texels along the light's axis")
+        step = _IN_SHADER[self.kernel].format(t="(stored - receiver) / (SHADOW_COMPARE_WIDTH * depth_per_texel)")
+        return ShaderPart((width,), _FUNCTION.format(step))

@@ -16,6 +16,7 @@ from .._arithmetic import as_float, dot, normalize, safe_norm, take
 from .._types import DepthMap, Mask, Resolution, Scalar, TexelMap, VectorMap
 from ..geometry import View, transform_points, transform_vectors
 from ..raster import DepthTest, Surface
+from ..settings.maps import DepthFormat
 from ._map import ShadowMap
 
 # Points closer to the light's plane than this fraction of its near distance count as behind it.
@@ -166,10 +167,13 @@ def _rounding(
     reach = size(position) + size(eye) + jnp.maximum(*view.whole(shadow_map.resolution)) * texel_size
     steepness = jnp.sqrt(1 + jnp.sum(slope * slope, axis=-1))
     unit = jnp.finfo(jnp.float32).eps
-    half_step = (
-        0.0 if shadow_map.depth_format == "float32" else DepthTest(shadow_map.depth_format).decode(as_float(0.5))
-    )
-    return _ROUNDINGS * unit * (1 + view.depth_slope(distance) * reach * steepness) + half_step
+    rounding = _ROUNDINGS * unit * (1 + view.depth_slope(distance) * reach * steepness)
+    return rounding + half_step(shadow_map.depth_format)
+
+
+def half_step(depth_format: DepthFormat) -> Float[Array, ""]:
+    """Half the difference of two neighbouring depths that a map of this format stores; 0 for floating point."""
+    return as_float(0) if depth_format == "float32" else DepthTest(depth_format).decode(as_float(0.5))
 
 
 def _stored(shadow_map: ShadowMap, texel: TexelMap, layer: Int[Array, "h w"] | None) -> DepthMap:

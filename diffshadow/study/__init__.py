@@ -4,6 +4,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from ._report import report
+from .exports._shader import export_shader
 from .imports._import import import_scene
 from .pages._compare import compare
 from .record._files import add_files as add_files
@@ -27,6 +28,7 @@ __all__ = [
     "compare",
     "convert",
     "engine_advice",
+    "export_shader",
     "import_scene",
     "print_defaults",
     "report",

@@ -12,7 +12,6 @@ from ._abstract import BiasTerms as BiasTerms
 from ._adaptive import AdaptiveBias as AdaptiveBias
 from ._constant import ConstantBias as ConstantBias
 from ._features import FEATURES as FEATURES
-from ._features import GLSL_INPUTS as GLSL_INPUTS
 from ._linear import LinearBias as LinearBias
 from ._normal_offset import NormalOffset as NormalOffset
 from ._normal_offset import OffsetProfile as OffsetProfile

@@ -11,6 +11,7 @@ from ..._checks import CheckedModule
 from ..._types import VectorMap
 from ...settings.biases import BiasUnit
 from .._receiver import Receiver
+from .._shader import ShaderBias
 
 
 class BiasTerms(eqx.Module):
@@ -49,6 +50,16 @@ class AbstractBias(CheckedModule):
     def __call__(self, receiver: Receiver) -> BiasTerms:
         """The bias at each receiver."""
 
+    def shader(self, prefix: str = "") -> ShaderBias:
+        """The bias in a shader. The names of its constants begin with `prefix`.
+
+        **Raises** `ValueError` if it has none.
+        """
+        raise ValueError(
+            f"the bias is of type {type(self).__name__}, which has no shader; expected constant, slope, normal offset, "
+            "linear, perceptron, adaptive or receiver plane"
+        )
+
     @property
     def reach(self) -> float:
         """How far the bias moves the look-up at most, in texels; 0 if that is not known, such as under a trace."""
@@ -59,6 +70,11 @@ def in_depth(bias: Float[Array, "..."], unit: BiasUnit, receiver: Receiver) -> F
     """Converts a `bias` along the light's axis to window depth."""
     per_unit = receiver.depth_per_texel if unit == "texels" else jnp.ones_like(receiver.depth_per_texel)
     return bias * per_unit
+
+
+def shader_of_length(length: str, unit: BiasUnit) -> str:
+    """The same in a shader."""
+    return f"({length}) * at.depth_per_texel" if unit == "texels" else f"({length})"
 
 
 def _either(both: Any, a: Array | None, b: Array | None) -> Array | None:

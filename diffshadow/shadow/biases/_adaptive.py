@@ -10,6 +10,7 @@ from ..._arithmetic import as_number, dot
 from ..._types import AsScalar
 from ...settings.biases import AdaptiveBias as Settings
 from .._receiver import Receiver
+from .._shader import Constant, ShaderBias, ShaderPart, number, text_of
 from ._abstract import AbstractBias, BiasTerms, in_depth
 
 
@@ -36,3 +37,8 @@ class AdaptiveBias(AbstractBias):
         # Window depth is linear in the window over a plane, for every light.
         lift = jnp.maximum(dot(receiver.slope, receiver.texel - centre), 0)
         return BiasTerms(in_depth(lift + self.epsilon, "texels", receiver) + receiver.rounding)
+
+    def shader(self, prefix: str = "") -> ShaderBias:
+        epsilon = Constant("EPSILON", number(self.epsilon), "added to the adaptive bias, in texels")
+        part = ShaderPart((epsilon,), text_of("biases/_adaptive.glsl"))
+        return ShaderBias(part, ("shadow_adaptive_bias(at)",))

@@ -9,7 +9,8 @@ from ..._types import AsScalar
 from ...settings.biases import Bias as Settings
 from ...settings.biases import BiasUnit
 from .._receiver import Receiver
-from ._abstract import AbstractBias, BiasTerms, in_depth
+from .._shader import Constant, ShaderBias, ShaderPart, number
+from ._abstract import AbstractBias, BiasTerms, in_depth, shader_of_length
 
 
 class ConstantBias(AbstractBias):
@@ -28,3 +29,8 @@ class ConstantBias(AbstractBias):
 
     def __call__(self, receiver: Receiver) -> BiasTerms:
         return BiasTerms(in_depth(self.value, self.unit, receiver))
+
+    def shader(self, prefix: str = "") -> ShaderBias:
+        unit = "texels" if self.unit == "texels" else "window depth"
+        constant = Constant(f"{prefix}CONSTANT_BIAS", number(self.value), f"along the light's axis, in {unit}")
+        return ShaderBias(ShaderPart((constant,), ""), (shader_of_length(f"SHADOW_{constant.name}", self.unit),))

@@ -10,7 +10,8 @@ from ..._checks import check_value
 from ..._types import Scalar
 from ...settings.biases import Terms as Settings
 from .._receiver import Receiver
-from ._abstract import AbstractBias, BiasTerms, in_depth
+from .._shader import Constant, ShaderBias, ShaderPart, number
+from ._abstract import AbstractBias, BiasTerms, in_depth, shader_of_length
 from ._features import FEATURES
 
 
@@ -57,3 +58,17 @@ class LinearBias(AbstractBias):
 
     def __call__(self, receiver: Receiver) -> BiasTerms:
         return BiasTerms(in_depth(at_least(self.total(receiver), as_float(0)), "texels", receiver))
+
+    def shader(self, prefix: str = "") -> ShaderBias:
+        part, total = self.shader_total(prefix)
+        return ShaderBias(part, (shader_of_length(f"max({total}, 0.0)", "texels"),))
+
+    def shader_total(self, prefix: str) -> tuple[ShaderPart, str]:
+        """The weights, and the expression of `total`."""
+        names = [name for name in FEATURES if name in self.weights]
+        weight = lambda name: f"{prefix}WEIGHT_OF_{name.upper()}"
+        constants = tuple(
+            Constant(weight(name), number(self.weights[name]), "of the bias, in texels per unit") for name in names
+        )
+        total = " + ".join(f"SHADOW_{weight(name)} * ({FEATURES[name].shader})" for name in names)
+        return ShaderPart(constants, ""), total

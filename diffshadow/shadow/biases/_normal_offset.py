@@ -11,6 +11,7 @@ from ..._types import AsScalar
 from ...settings.biases import Bias as Settings
 from ...settings.biases import OffsetProfile
 from .._receiver import Receiver
+from .._shader import Constant, ShaderBias, ShaderPart, number
 from ._abstract import AbstractBias, BiasTerms
 from ._features import FEATURES
 
@@ -47,3 +48,11 @@ class NormalOffset(AbstractBias):
             return BiasTerms(jnp.zeros_like(texels), moved)
         # The part towards the light is taken back.
         return BiasTerms(-texels * jnp.clip(receiver.cosine, 0, 1) * receiver.depth_per_texel, moved)
+
+    def shader(self, prefix: str = "") -> ShaderBias:
+        about = f"along the normal, times the profile {self.profile}, in texels"
+        constant = Constant(f"{prefix}NORMAL_OFFSET", number(self.value), about)
+        length = f"SHADOW_{constant.name} * ({FEATURES[_FEATURE_OF[self.profile]].shader})"
+        # The part towards the light is taken back.
+        back = f"-({length}) * clamp(at.cosine, 0.0, 1.0) * at.depth_per_texel"
+        return ShaderBias(ShaderPart((constant,), ""), (back,) if self.profile == "across" else (), (length,))

@@ -13,7 +13,8 @@ from ..._arithmetic import as_float, at_least, concrete
 from ..._checks import check_value
 from ...settings.biases import Number
 from .._receiver import Receiver
-from ._abstract import AbstractBias, BiasTerms, in_depth
+from .._shader import Constant, ShaderBias, ShaderPart, joined, numbers
+from ._abstract import AbstractBias, BiasTerms, in_depth, shader_of_length
 from ._features import FEATURES
 from ._linear import LinearBias
 
@@ -95,8 +96,8 @@ class PerceptronBias(AbstractBias):
                 f"the perceptron has {self.count} weights; expected at most {MAX_WEIGHTS}: take smaller layers, or "
                 "fewer terms"
             )
-        for numbers in map(concrete, jax.tree.leaves(eqx.filter((self.hidden, self.last), eqx.is_inexact_array))):
-            for number in () if numbers is None else np.ravel(numbers):
+        for known in map(concrete, jax.tree.leaves(eqx.filter((self.hidden, self.last), eqx.is_inexact_array))):
+            for number in () if known is None else np.ravel(known):
                 check_value("a weight of the PerceptronBias", number, Number)
 
     @property
@@ -121,6 +122,43 @@ class PerceptronBias(AbstractBias):
             values = jnp.tanh(_weighted(layer.weight, values) + offset)
         total = self.linear.total(receiver) + _weighted(self.last[None], values)[0]
         return BiasTerms(in_depth(at_least(total, as_float(0)), "texels", receiver))
+
+    def shader(self, prefix: str = "") -> ShaderBias:
+        linear, total = self.linear.shader_total(prefix)
+        constants: list[Constant] = []
+        lines = ["float shadow_perceptron(ShadowReceiver at) {", f"    float x0[{len(self.inputs)}];"]
+        for i, name in enumerate(self.inputs):
+            lines += [f"    float f{i} = {FEATURES[name].shader};", f"    x0[{i}] = f{i} / (1.0 + f{i});"]
+        for layer, found in enumerate(self.hidden):
+            rows, columns = found.weight.shape
+            names = f"{prefix}LAYER_{layer}", f"{prefix}OFFSETS_{layer}"
+            constants += [
+                Constant(names[0], numbers(found.weight), f"of hidden layer {layer}, row by row"),
+                Constant(names[1], numbers(found.bias), f"of hidden layer {layer}"),
+            ]
+            lines += [
+                f"    float x{layer + 1}[{rows}];",
+                f"    for (int i = 0; i < {rows}; i++) {{",
+                f"        float sum = SHADOW_{names[1]}[i];",
+                f"        for (int j = 0; j < {columns}; j++) {{",
+                f"            sum += SHADOW_{names[0]}[i * {columns} + j] * x{layer}[j];",
+                "        }",
+                f"        x{layer + 1}[i] = tanh(sum);",
+                "    }",
+            ]
+        constants.append(Constant(f"{prefix}LAST_LAYER", numbers(self.last), "in texels"))
+        last = len(self.hidden)
+        lines += [
+            f"    float total = {total};",
+            f"    for (int i = 0; i < {self.last.size}; i++) {{",
+            f"        total += SHADOW_{prefix}LAST_LAYER[i] * x{last}[i];",
+            "    }",
+            "    return max(total, 0.0);",
+            "}",
+            "",
+        ]
+        part = joined([linear, ShaderPart(tuple(constants), "\n".join(lines))])
+        return ShaderBias(part, (shader_of_length("shadow_perceptron(at)", "texels"),))
 
 
 def _inputs(linear: LinearBias) -> tuple[str, ...]:

@@ -9,7 +9,8 @@ from ..._arithmetic import as_number, at_most
 from ..._types import AsOptional, AsScalar
 from ...settings.biases import ReceiverPlane as Settings
 from .._receiver import Receiver
-from ._abstract import AbstractBias, BiasTerms, in_depth
+from .._shader import Constant, ShaderBias, ShaderPart, number
+from ._abstract import AbstractBias, BiasTerms, in_depth, shader_of_length
 
 
 class ReceiverPlane(AbstractBias):
@@ -44,3 +45,17 @@ class ReceiverPlane(AbstractBias):
         return BiasTerms(
             in_depth(fudge, "texels", receiver) + receiver.rounding, follows_plane=True, deepening=deepening
         )
+
+    def shader(self, prefix: str = "") -> ShaderBias:
+        given = {"FUDGE": self.fudge, "FUDGE_LIMIT": self.limit, "DEEPENING": self.deepening}
+        about = "of the fractional sampling error", "its most, in texels", "of the receiver's plane at a tap, in texels"
+        constants = tuple(
+            Constant(prefix + name, number(value), meaning)
+            for (name, value), meaning in zip(given.items(), about, strict=True)
+            if value is not None
+        )
+        fudge = f"SHADOW_{prefix}FUDGE * (abs(at.slope.x) + abs(at.slope.y))"
+        fudge = fudge if self.limit is None else f"min({fudge}, SHADOW_{prefix}FUDGE_LIMIT)"
+        deepest = None if self.deepening is None else shader_of_length(f"SHADOW_{prefix}DEEPENING", "texels")
+        depths = shader_of_length(fudge, "texels"), "at.rounding"
+        return ShaderBias(ShaderPart(constants, ""), depths, follows_plane=True, deepest=deepest)

@@ -9,8 +9,9 @@ from ..._types import AsOptional, AsScalar
 from ...settings.biases import Bias as Settings
 from ...settings.biases import BiasUnit, SlopeProfile
 from .._receiver import Receiver
-from ._abstract import AbstractBias, BiasTerms, in_depth
-from ._features import FEATURES
+from .._shader import Constant, ShaderBias, ShaderPart, number
+from ._abstract import AbstractBias, BiasTerms, in_depth, shader_of_length
+from ._features import FEATURES, Feature
 
 
 class SlopeBias(AbstractBias):
@@ -39,6 +40,26 @@ class SlopeBias(AbstractBias):
     unit: BiasUnit = eqx.field(static=True, default=Settings.unit)
 
     def __call__(self, receiver: Receiver) -> BiasTerms:
-        profile = FEATURES["slope" if self.profile == "tangent" else self.profile].of(receiver)
+        profile = self._feature.of(receiver)
         bias = at_most(at_least(self.value * profile, self.least), self.most)
         return BiasTerms(in_depth(bias, self.unit, receiver))
+
+    @property
+    def _feature(self) -> Feature:
+        return FEATURES["slope" if self.profile == "tangent" else self.profile]
+
+    def shader(self, prefix: str = "") -> ShaderBias:
+        unit = "texels" if self.unit == "texels" else "window depth"
+        given = {"SLOPE_BIAS": self.value, "LEAST_SLOPE_BIAS": self.least, "MOST_SLOPE_BIAS": self.most}
+        about = f"times the profile {self.profile}, in {unit}", f"its least, in {unit}", f"its most, in {unit}"
+        constants = tuple(
+            Constant(prefix + name, number(value), meaning)
+            for (name, value), meaning in zip(given.items(), about, strict=True)
+            if value is not None
+        )
+        length = f"SHADOW_{prefix}SLOPE_BIAS * ({self._feature.shader})"
+        if self.least is not None:
+            length = f"max({length}, SHADOW_{prefix}LEAST_SLOPE_BIAS)"
+        if self.most is not None:
+            length = f"min({length}, SHADOW_{prefix}MOST_SLOPE_BIAS)"
+        return ShaderBias(ShaderPart(constants, ""), (shader_of_length(length, self.unit),))

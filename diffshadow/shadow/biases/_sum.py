@@ -11,6 +11,7 @@ from ..._types import Scalar
 from ..._words import counted
 from ...settings.biases import Bias as Settings
 from .._receiver import Receiver
+from .._shader import ShaderBias, joined, number
 from ._abstract import AbstractBias, BiasTerms
 from ._constant import ConstantBias
 from ._normal_offset import NormalOffset
@@ -84,3 +85,23 @@ class Bias(AbstractBias):
                 )
             terms = terms.scaled(jnp.stack(self.factors)[receiver.layer])
         return terms if self.plane is None else terms + self.plane(receiver)
+
+    def shader(self, prefix: str = "") -> ShaderBias:
+        if self.factors is not None:
+            raise ValueError("the bias has factors, which have no shader; expected a bias without: leave factors out")
+        each = [self.constant, self.slope, self.normal_offset]
+        parts = [part.shader(prefix) for part in each if not _is_zero(part)]
+        for name, part in (("TERMS_", self.terms), ("PLANE_", self.plane)):
+            parts += [] if part is None else [part.shader(prefix + name)]
+        return ShaderBias(
+            joined(part.part for part in parts),
+            tuple(depth for part in parts for depth in part.depths),
+            tuple(offset for part in parts for offset in part.offsets),
+            any(part.follows_plane for part in parts),
+            next((part.deepest for part in parts if part.deepest is not None), None),
+        )
+
+
+def _is_zero(part: AbstractBias) -> bool:
+    least = getattr(part, "least", None)
+    return isinstance(part, ConstantBias | SlopeBias | NormalOffset) and number(part.value) == 0 and least is None

@@ -11,6 +11,7 @@ from ...settings.filters import Filter
 from .._compare import AbstractCompare
 from .._lookup import Lookup
 from .._map import ShadowMap
+from .._shader import ShaderPart
 
 
 class AbstractFilter(CheckedModule):
@@ -34,6 +35,16 @@ class AbstractFilter(CheckedModule):
     @abc.abstractmethod
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         """Visibility in [0, 1] of each receiver, (h, w): 1 lit, 0 shadowed."""
+
+    def shader(self) -> ShaderPart:
+        """The function `shadow_filter` of a shader.
+
+        **Raises** `ValueError` if it has none.
+        """
+        raise ValueError(
+            f"the filter is of type {type(self).__name__}, which has no shader; expected Nearest, Bilinear, FourTap, "
+            "PercentageCloser, Tent, Castano, Separable, RandomDisk or PercentageCloserSoft"
+        )
 
     @property
     def reach(self) -> float | None:

@@ -11,8 +11,10 @@ from ...settings.filters import KernelSize
 from .._compare import AbstractCompare
 from .._lookup import Lookup
 from .._map import ShadowMap
+from .._shader import ShaderPart
 from ..kernels import WeightedRow, sum_over_rows
 from ._abstract import AbstractFilter
+from ._separable import shader_of_weights
 
 CASTANO_KERNELS: dict[int, tuple[int, ...]] = {3: (1, 2, 1), 5: (1, 3, 4, 3, 1), 7: (1, 5, 12, 16, 12, 5, 1)}
 """Weights along each axis, by size, of the bilinear compares one texel apart that the taps are equivalent to."""
@@ -40,3 +42,6 @@ class Castano(AbstractFilter):
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         return sum_over_rows(WeightedRow(self.normalized), shadow_map, compare, lookup)
+
+    def shader(self) -> ShaderPart:
+        return shader_of_weights(self.normalized)

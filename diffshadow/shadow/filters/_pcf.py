@@ -8,6 +8,7 @@ from jaxtyping import Array, Float, Int
 from ..._arithmetic import at_least, at_most
 from ...settings.filters import PercentageCloser as Settings
 from .._lookup import Lookup
+from .._shader import ShaderPart
 from ..kernels import MIN_RADIUS, AbstractRow, AbstractSizedRow, Footprint, Span
 from ._sized import AbstractSizedFilter
 
@@ -36,6 +37,9 @@ class PercentageCloser(AbstractSizedFilter):
 
     def row(self) -> AbstractRow:
         return _Row(self.max_radius, at_least(at_most(self.radius, self.max_radius), MIN_RADIUS))
+
+    def shader(self) -> ShaderPart:
+        return self.shader_of("filters/_pcf.glsl")
 
 
 class _Row(AbstractSizedRow):

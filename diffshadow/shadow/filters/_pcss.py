@@ -13,9 +13,11 @@ from ...settings.filters import PercentageCloserSoft as Settings
 from .._compare import AbstractCompare
 from .._lookup import Lookup
 from .._map import ShadowMap
+from .._shader import Constant, ShaderPart, number, text_of
 from ..kernels import mean_of_taps
 from ..patterns import Pattern, stratified
 from ._abstract import AbstractFilter
+from ._random_disk import constants_of_pattern
 
 # Up to this fraction of blockers counts as no blocker; it is above rounding error.
 _FEW = 1e-5
@@ -64,6 +66,15 @@ class PercentageCloserSoft(AbstractFilter):
         some = found.some
         lit = mean_of_taps(shadow_map, lookup, compare, found.radius, self.pattern, "bilinear", active=some)
         return jnp.where(some, lit, 1)
+
+    def shader(self) -> ShaderPart:
+        constants = (
+            Constant("MIN_RADIUS", number(self.min_radius), "the penumbra's least half width, in texels"),
+            Constant("MAX_RADIUS", number(self.max_radius), "its greatest, in texels"),
+            *constants_of_pattern(self.search, "SEARCH_"),
+            *constants_of_pattern(self.pattern, ""),
+        )
+        return ShaderPart(constants, text_of("kernels/_taps.glsl", "_patterns.glsl", "filters/_pcss.glsl"))
 
     def find_blockers(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> "BlockerSearch":
         """The result of the blocker search."""

@@ -12,6 +12,7 @@ from ...settings.filters import TapMode
 from .._compare import AbstractCompare
 from .._lookup import Lookup
 from .._map import ShadowMap
+from .._shader import Constant, ShaderPart, number, numbers, text_of
 from ..kernels import mean_of_taps
 from ..patterns import EARLY_SAMPLES, Pattern, stratified
 from ._abstract import AbstractFilter
@@ -53,3 +54,24 @@ class RandomDisk(AbstractFilter):
         others = mean(part(offsets[EARLY_SAMPLES:]), ~agree)
         weight = EARLY_SAMPLES / count
         return jnp.where(agree, first, weight * first + (1 - weight) * others)
+
+    def shader(self) -> ShaderPart:
+        early = self.early_out and self.pattern.samples > EARLY_SAMPLES
+        constants = (
+            Constant("RADIUS", number(self.radius), "of the disk, in texels"),
+            *constants_of_pattern(self.pattern, ""),
+            Constant("BILINEAR", self.lookup == "bilinear", "whether taps are interpolated"),
+            Constant("EARLY_SAMPLES", EARLY_SAMPLES if early else 0, "after which a pixel stops where all agree"),
+        )
+        return ShaderPart(constants, text_of("kernels/_taps.glsl", "_patterns.glsl", "filters/_random_disk.glsl"))
+
+
+def constants_of_pattern(pattern: Pattern, prefix: str) -> tuple[Constant, ...]:
+    """A pattern as constants of a shader, whose names begin with `prefix`."""
+    samples, size = pattern.offsets.shape[:2]
+    return (
+        Constant(f"{prefix}SAMPLES", samples, "points of the pattern for each pixel"),
+        Constant(f"{prefix}PATTERN_SIZE", size, "pixels along a side of the tile that the pattern repeats"),
+        Constant(f"{prefix}ROTATED", pattern.rotated, "whether each pixel turns its points"),
+        Constant(f"{prefix}PATTERN", numbers(pattern.offsets), "x and y of each point: point, row, column"),
+    )

@@ -1,5 +1,6 @@
 """A separable kernel whose weights are free."""
 
+from collections.abc import Sequence
 from typing import ClassVar
 
 import equinox as eqx
@@ -10,6 +11,7 @@ from ...settings.filters import Separable as Settings
 from .._compare import AbstractCompare
 from .._lookup import Lookup
 from .._map import ShadowMap
+from .._shader import Constant, ShaderPart, numbers, text_of
 from ..kernels import WeightedRow, sum_over_rows
 from ._abstract import AbstractFilter
 
@@ -36,3 +38,17 @@ class Separable(AbstractFilter):
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         return sum_over_rows(WeightedRow(self.normalized), shadow_map, compare, lookup)
+
+    def shader(self) -> ShaderPart:
+        return shader_of_weights(self.normalized)
+
+
+def shader_of_weights(normalized: Sequence[Scalar]) -> ShaderPart:
+    """The shader of bilinear compares with these weights, from the middle outwards."""
+    half = numbers(normalized)
+    weights = (0.0, *reversed(half[1:]), *half, 0.0)
+    constants = (
+        Constant("TEXELS", 2 * len(half), "along a side of the square that is read"),
+        Constant("WEIGHTS", weights, "of bilinear compares one texel apart, between two zeros"),
+    )
+    return ShaderPart(constants, text_of("filters/_separable.glsl"))

@@ -7,6 +7,7 @@ from ...settings import filters
 from .._compare import AbstractCompare
 from .._lookup import Lookup
 from .._map import ShadowMap
+from .._shader import ShaderPart, text_of
 from ..kernels import single_tap
 from ._abstract import AbstractFilter
 
@@ -18,6 +19,9 @@ class Nearest(AbstractFilter):
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         return single_tap(shadow_map, lookup, compare, "nearest")
+
+    def shader(self) -> ShaderPart:
+        return ShaderPart((), text_of("kernels/_taps.glsl", "filters/_nearest.glsl"))
 
 
 class Bilinear(AbstractFilter):
@@ -34,3 +38,6 @@ class Bilinear(AbstractFilter):
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         return single_tap(shadow_map, lookup, compare, "bilinear")
+
+    def shader(self) -> ShaderPart:
+        return ShaderPart((), text_of("kernels/_taps.glsl", "filters/_bilinear.glsl"))

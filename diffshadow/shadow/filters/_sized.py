@@ -11,7 +11,8 @@ from ...settings.filters import Sized as Settings
 from .._compare import AbstractCompare
 from .._lookup import Lookup
 from .._map import ShadowMap
-from ..kernels import AbstractRow, check_radius, limit_radius, sum_over_rows
+from .._shader import Constant, ShaderPart, number, text_of
+from ..kernels import MIN_RADIUS, AbstractRow, check_radius, limit_radius, sum_over_rows
 from ._abstract import AbstractFilter
 
 
@@ -42,3 +43,13 @@ class AbstractSizedFilter(AbstractFilter):
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
         return sum_over_rows(self.row(), shadow_map, compare, lookup)
+
+    def shader_of(self, file: str) -> ShaderPart:
+        """The shader's part whose text is in this file of `shadow`."""
+        radius = max(min(number(self.radius), number(self.max_radius)), MIN_RADIUS)
+        constants = (
+            Constant("RADIUS", radius, "half the kernel's width, in texels"),
+            Constant("MAX_RADIUS", number(self.max_radius), "the most it may be, in texels"),
+            Constant("TEXELS", self.row().texels, "along a side of the square that is read"),
+        )
+        return ShaderPart(constants, text_of(file))

@@ -4,6 +4,7 @@ from typing import ClassVar
 
 from ..._arithmetic import at_most
 from ...settings.filters import Tent as Settings
+from .._shader import ShaderPart
 from ..kernels import AbstractRow, SeparableRow
 from ._sized import AbstractSizedFilter
 
@@ -25,3 +26,6 @@ class Tent(AbstractSizedFilter):
 
     def row(self) -> AbstractRow:
         return SeparableRow(self.max_radius, at_most(self.radius, self.max_radius), "tent")
+
+    def shader(self) -> ShaderPart:
+        return self.shader_of("filters/_tent.glsl")

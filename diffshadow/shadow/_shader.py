@@ -1,0 +1,70 @@
+"""Parts of shaders: what a bias, a compare or a filter is in a shader, in the language that all exports come from.
+
+That language is GLSL with a few rules, so that it can be turned into other languages line by line; see `shaders`. The
+text of a part is in a file beside the part's Python module, and its numbers are constants that stand above it.
+"""
+
+from collections.abc import Iterable, Sequence
+from importlib import resources
+from typing import Any, NamedTuple
+
+import numpy as np
+
+Value = bool | int | float | tuple[float, ...]
+
+
+class Constant(NamedTuple):
+    """A number of a shader, or an array of them, whose name gets the prefix `SHADOW_`.
+
+    - `about`: what it is, with its unit.
+    """
+
+    name: str
+    value: Value
+    about: str
+
+
+class ShaderPart(NamedTuple):
+    """Functions of a shader, and the constants that they use."""
+
+    constants: tuple[Constant, ...]
+    text: str
+
+
+class ShaderBias(NamedTuple):
+    """A bias in a shader. Its expressions are of `at`, a `ShadowReceiver`.
+
+    - `depths`: expressions whose sum is subtracted from the receiver's window depth.
+    - `offsets`: expressions whose sum is how far the receiver moves along its normal, in texels.
+    - `follows_plane`: whether each texel is compared with the receiver's plane; `deepest` bounds how much deeper that
+        may be, in window depth; none for no bound.
+    """
+
+    part: ShaderPart = ShaderPart((), "")
+    depths: tuple[str, ...] = ()
+    offsets: tuple[str, ...] = ()
+    follows_plane: bool = False
+    deepest: str | None = None
+
+
+def number(value: Any) -> float:
+    """A setting as a number."""
+    return float(np.asarray(value))
+
+
+def numbers(values: Any) -> tuple[float, ...]:
+    """An array as a row of numbers."""
+    return tuple(float(value) for value in np.ravel(np.asarray(values)))
+
+
+def text_of(*names: str) -> str:
+    """The texts of these files of `shadow`, such as `"filters/_pcf.glsl"`."""
+    folder = resources.files(__package__ or "")
+    return "\n".join(folder.joinpath(name).read_text(encoding="utf-8") for name in names)
+
+
+def joined(parts: Iterable[ShaderPart]) -> ShaderPart:
+    """Several parts as one."""
+    each: Sequence[ShaderPart] = tuple(parts)
+    constants = tuple(constant for part in each for constant in part.constants)
+    return ShaderPart(constants, "\n".join(part.text for part in each if part.text))

@@ -1,0 +1,3 @@
+float shadow_filter(sampler2D map, ShadowLookup at) {
+    return shadow_nearest_tap(map, at, at.texel);
+}

@@ -1,0 +1,3 @@
+"""Shaders: techniques in the languages of graphics APIs, for a renderer of one's own."""
+
+from ._technique import to_shader as to_shader

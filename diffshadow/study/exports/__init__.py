@@ -1,0 +1,1 @@
+"""Techniques for renderers of one's own."""

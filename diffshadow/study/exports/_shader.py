@@ -1,0 +1,192 @@
+"""Exports a technique as a shader, with what a renderer must set around it."""
+
+import json
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+from rich.console import Console
+from rich.text import Text
+
+from ... import geometry, io, shadow
+from ...config import Config, ConfigError, Mistake, build_scene, build_technique, printable
+from ...settings.techniques import ShaderLanguage
+
+README, SCENE, MATRICES = "README.md", "scene.glb", "light.json"
+
+# What each format is called: by OpenGL, WebGPU and Direct3D.
+_FORMATS = {
+    "float32": ("`GL_DEPTH_COMPONENT32F`", "`depth32float`", "`DXGI_FORMAT_D32_FLOAT`"),
+    "unorm24": ("`GL_DEPTH_COMPONENT24`", "`depth24plus`", "`DXGI_FORMAT_D24_UNORM_S8_UINT`"),
+    "unorm16": ("`GL_DEPTH_COMPONENT16`", "`depth16unorm`", "`DXGI_FORMAT_D16_UNORM`"),
+}
+_CULLED = {
+    "none": ("no `GL_CULL_FACE`", '`cullMode: "none"`', "`D3D11_CULL_NONE`"),
+    "back": ("`glCullFace(GL_BACK)`", '`cullMode: "back"`', "`D3D11_CULL_BACK`"),
+    "front": ("`glCullFace(GL_FRONT)`", '`cullMode: "front"`', "`D3D11_CULL_FRONT`"),
+}
+_LANGUAGES = {
+    "glsl": ("GLSL", "version 3.30, or ES 3.00 with `precision highp float; precision highp sampler2D;` above it"),
+    "wgsl": ("WGSL", "WebGPU"),
+    "hlsl": ("HLSL", "shader model 5"),
+}
+
+
+def export_shader(
+    config: Config, folder: Path, language: ShaderLanguage, *, console: Console, origin: str = ""
+) -> Path:
+    """Writes the technique of `config` as a shader for each light, the scene, and what a renderer must set.
+
+    **Arguments:**
+
+    - `folder`: made if it does not exist. Files of an earlier export are replaced.
+    - `origin`: where the values come from, for the page.
+
+    **Returns** the folder.
+
+    **Raises** `ConfigError` for a technique or a light that has no shader, and `FileError` if a file cannot be written.
+    """
+    technique, scene = build_technique(config, fitting=False), build_scene(config)
+    shaders = {}
+    for number, light in enumerate(scene.lights):
+        name = "shadow" if len(scene.lights) == 1 else f"shadow_{number}"
+        try:
+            shaders[f"{name}.{language}"] = light, shadow.to_shader(technique, light, language)
+        except ValueError as error:
+            raise ConfigError([Mistake(config.origin.place(("technique",)), "technique", str(error))]) from error
+    assert isinstance(technique, shadow.ShadowMapping)
+    folder.mkdir(parents=True, exist_ok=True)
+    title = f"{config.name}: {origin}" if origin else config.name
+    page = _page(title, technique, scene, list(shaders), language)
+    matrices = {name: _matrices(light) for name, (light, _) in shaders.items()}
+    texts = {name: f"// {title}\n{text}" for name, (_, text) in shaders.items()}
+    for name, text in {**texts, README: page, MATRICES: json.dumps(matrices, indent=2) + "\n"}.items():
+        with io.atomic_path(folder / name) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    io.write_gltf(folder / SCENE, scene)
+    console.print(Text(printable(f"{', '.join([*shaders, MATRICES, README, SCENE])} in")), soft_wrap=True)
+    return folder
+
+
+def _matrices(light: geometry.AbstractLight) -> dict[str, list[list[float]]]:
+    """The light's matrices, row by row, for column vectors."""
+    view = light.view()
+    projection = np.asarray(view.eye_to_clip, np.float64)
+    halved = np.diag([1.0, 1.0, 0.5, 1.0])
+    halved[2, 3] = 0.5
+    each = {
+        "world_to_eye": np.asarray(view.world_to_eye, np.float64),
+        "eye_to_clip, depths from -1 to 1": projection,
+        "eye_to_clip, depths from 0 to 1": halved @ projection,
+    }
+    return {name: matrix.tolist() for name, matrix in each.items()}
+
+
+def _page(
+    title: str, technique: shadow.ShadowMapping, scene: geometry.Scene, files: list[str], language: ShaderLanguage
+) -> str:
+    origin = ""
+    if np.any(scene.origin):
+        origin = f", less the scene's origin ({', '.join(f'{float(x):.9g}' for x in scene.origin)})"
+    settings = technique.map
+    height, width = settings.resolution
+    factor_units = settings.polygon_offset
+    offset = (
+        ("none", "none", "none")
+        if factor_units is None
+        else (
+            f"`glPolygonOffset({factor_units[0]:g}, {factor_units[1]:g})`",
+            f"`depthBiasSlopeScale: {factor_units[0]:g}, depthBias: {factor_units[1]:g}`",
+            f"`SlopeScaledDepthBias = {factor_units[0]:g}, DepthBias = {factor_units[1]:g}`",
+        )
+    )
+    rows = {
+        "format": _FORMATS[settings.depth_format],
+        "size in texels": (f"{width} x {height}",) * 3,
+        "cleared to": ("1.0",) * 3,
+        "depth test": ("`GL_LESS`", '`depthCompare: "less"`', "`D3D11_COMPARISON_LESS`"),
+        "faces left out; counter-clockwise ones are in front": _CULLED[settings.cull],
+        "polygon offset": offset,
+        "clip space's depths": ("-1 to 1", "0 to 1", "0 to 1"),
+        "first row in memory": ("the lowest", "the highest", "the highest"),
+        "the shader reads it as": (
+            "`sampler2D`, with `GL_TEXTURE_COMPARE_MODE` `GL_NONE`, `GL_NEAREST`, without mipmaps",
+            "`texture_depth_2d`, without a sampler",
+            "`Texture2D<float>`, a view of the format `R32_FLOAT`, `R24_UNORM_X8_TYPELESS` or `R16_UNORM`",
+        ),
+    }
+    name, version = _LANGUAGES[language]
+    table = [
+        "| the shadow map | OpenGL | WebGPU | Direct3D 11 |",
+        "|---|---|---|---|",
+        *(f"| {what} | {' | '.join(each)} |" for what, each in rows.items()),
+    ]
+    layer = {
+        "second": "Store the second depth from the light, not the nearest: draw twice, and in the second pass leave out "
+        "what is at the first pass's depth or in front of it.",
+        "midpoint": "Store the mean of the nearest and the second depth from the light: draw both, and average them.",
+    }.get(settings.depth_layer)
+    ways = {file: _way_of(light) for file, light in zip(files, scene.lights, strict=True)}
+    return "\n".join(
+        [
+            f"# {title}",
+            "",
+            f"`{files[0]}` holds a function `shadow` in {name} ({version}). It returns the visibility of the "
+            "light at a point: 1 lit, 0 shadowed. Multiply the light's diffuse and specular terms by it.",
+            "",
+            "1. Draw the casters into the map, as the table says, with the matrices of "
+            f"`{MATRICES}`: `clip = eye_to_clip * world_to_eye * position`. Meshes of `{SCENE}` whose `extras` have "
+            "`casts: false` stay out of it.",
+            "2. Paste the shader into the fragment shader that shades surfaces.",
+            "3. Call it there:",
+            "",
+            *_call(language),
+            "",
+            *table,
+            "",
+            *([layer, ""] if layer else []),
+            "## Arguments",
+            "",
+            "- `map`: the shadow map.",
+            "- `world_to_eye`, `eye_to_clip`: the matrices that the map was drawn with, in the clip space of your API. "
+            "If the light moves, its matrices move; `SHADOW_NEAR` and `SHADOW_FAR` are the projection's own distances.",
+            f"- `position`: the point, in world units{origin}.",
+            "- `normal`: the unit normal of its triangle, turned to the camera. An interpolated normal gives another "
+            "bias.",
+            *(f"- `to_light`, in `{file}`: {way}." for file, way in ways.items()),
+            "- `pixel`: whole numbers, counted from the picture's lower left pixel. Only disks of points use it.",
+            "",
+            "Numbers at the top of the shader are the technique's settings. Biases and radii in texels hold for a map "
+            "of another size, too.",
+            "",
+        ]
+    )
+
+
+def _way_of(light: geometry.AbstractLight) -> str:
+    known = lambda vector: ", ".join(f"{float(x):.7g}" for x in vector)
+    if light.is_directional:
+        towards = np.asarray(light.towards(jnp.zeros(3)), np.float64)
+        return f"the unit vector ({known(towards / np.linalg.norm(towards))})"
+    eye_to_world = np.linalg.inv(np.asarray(light.view().world_to_eye, np.float64))
+    return f"`normalize(light - position)`, where the light is at ({known(eye_to_world[:3, 3])})"
+
+
+def _call(language: ShaderLanguage) -> list[str]:
+    lines = {
+        "glsl": [
+            "vec3 normal = normalize(cross(dFdx(position), dFdy(position)));",
+            "float lit = shadow(map, world_to_eye, eye_to_clip, position, normal, to_light, floor(gl_FragCoord.xy));",
+        ],
+        "wgsl": [
+            "let normal = normalize(cross(dpdy(position), dpdx(position)));",
+            "let pixel = vec2f(floor(at.x), height - 1 - floor(at.y));  // at is @builtin(position)",
+            "let lit = shadow(map, world_to_eye, eye_to_clip, position, normal, to_light, pixel);",
+        ],
+        "hlsl": [
+            "float3 normal = normalize(cross(ddy(position), ddx(position)));",
+            "float2 pixel = float2(floor(at.x), height - 1 - floor(at.y));  // at is SV_Position",
+            "float lit = shadow(map, world_to_eye, eye_to_clip, position, normal, to_light, pixel);",
+        ],
+    }
+    return [f"```{language}", *lines[language], "```"]

@@ -1,0 +1,144 @@
+"""Techniques as shaders: visibility by the exported functions, beside ours."""
+
+import functools
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scenes import LIGHTS
+from shader_chains import ByOpenGL, BySpirv, ByWebGPU, Picture
+
+from diffshadow import shadow
+from diffshadow._arithmetic import normalize
+from diffshadow.geometry import PinholeCamera, PointLight, Scene, library_mesh, merge
+from diffshadow.raster import draw_surface
+from diffshadow.shadow import (
+    AdaptiveBias,
+    Bias,
+    Bilinear,
+    Castano,
+    ConstantBias,
+    FourTap,
+    HardCompare,
+    LinearBias,
+    MapSettings,
+    Nearest,
+    NormalOffset,
+    PercentageCloser,
+    PercentageCloserSoft,
+    PerceptronBias,
+    RandomDisk,
+    ReceiverPlane,
+    Separable,
+    ShadowMapping,
+    SlopeBias,
+    SoftCompare,
+    Tent,
+    to_shader,
+)
+
+SIDE = 128
+
+
+def trained():
+    """A perceptron of all features, as a training leaves it: no weight is 0."""
+    weights = (1.0, 0.4, 0.2, 0.3, 0.5, -0.6, 0.02)
+    names = ("one", "slope", "sine", "one_minus_cosine", "texel_size", "distance", "blocker_distance")
+    bias = PerceptronBias.correcting(LinearBias(dict(zip(names, weights, strict=True))), seed=1)
+    return eqx.tree_at(lambda bias: bias.last, bias, jnp.linspace(-1, 1.5, bias.last.size))
+
+
+PLAIN = Bias(0.3, 0.5, 0.4)
+
+
+HARD = HardCompare()
+
+
+def mapping(filter, bias, compare=HARD, depth_format="float32"):
+    return ShadowMapping(filter, bias, compare, MapSettings((SIDE, SIDE), depth_format=depth_format))
+
+
+TECHNIQUES = {
+    "nearest, clamped slope, window depth": mapping(
+        Nearest(), Bias(ConstantBias(1e-4, "depth"), SlopeBias(0.6, least=0.05, most=2.0))
+    ),
+    "bilinear, fixed point": mapping(Bilinear(), PLAIN, depth_format="unorm16"),
+    "four taps, Godot's offset": mapping(FourTap(1.2), Bias(0.2, 0.6, NormalOffset(0.5, "across"))),
+    "box, plane": mapping(PercentageCloser(1.7), Bias(plane=ReceiverPlane(deepening=0.5))),
+    "tent, linear": mapping(
+        Tent(2.3), Bias(0.1, terms=LinearBias({"one": 0.1, "slope": 0.3, "blocker_distance": 0.1}))
+    ),
+    "Castano, perceptron": mapping(
+        Castano(3), Bias(normal_offset=NormalOffset(0.3, "one_minus_cosine"), terms=trained())
+    ),
+    "separable, soft": mapping(Separable((0.9, 0.5, 0.2)), PLAIN, SoftCompare(0.4)),
+    "disk, early out": mapping(RandomDisk(2.5, shadow.stratified(16, 4), early_out=True), PLAIN),
+    "rotated disk, nearest taps": mapping(
+        RandomDisk(3.0, shadow.vogel(12, rotated=True), "nearest"), Bias(plane=ReceiverPlane(1.0, 0.4))
+    ),
+    "adaptive": mapping(Nearest(), Bias(plane=AdaptiveBias(0.1))),
+    "soft shadows": mapping(PercentageCloserSoft(light_size=0.15), Bias(plane=ReceiverPlane(deepening=0.0))),
+    "exponential compare": mapping(Bilinear(), PLAIN, SoftCompare(0.5, "exponential")),
+}
+
+
+@pytest.fixture(scope="module", params=["glsl", "wgsl", "hlsl"])
+def chain(request, tmp_path_factory):
+    makers = {"glsl": ByOpenGL, "wgsl": ByWebGPU, "hlsl": lambda: BySpirv(tmp_path_factory.mktemp("hlsl"))}
+    return request.param, makers[request.param]()
+
+
+@functools.cache
+def picture_of(name, light):
+    """A technique's visibility of a small scene under a light, and what a shader needs to find it."""
+    meshes = [library_mesh("torus", segments=14, sides=8), library_mesh("plane", size=3.0)]
+    camera = PinholeCamera((1.6, 1.4, 2.0), (0.0, 0.2, 0.0), fov_y=40, near=0.1, far=10, resolution=(SIDE, SIDE))
+    scene = Scene(meshes, camera, LIGHTS[light](merge(meshes)))
+    technique, surface = TECHNIQUES[name], draw_surface(scene.mesh, camera)
+    state = technique.prepare(scene)
+    picture = Picture(state, surface, normalize(scene.light.towards(surface.position)))
+    return scene.light, picture, np.asarray(technique.visibility(state, surface)), np.asarray(surface.mask)
+
+
+@pytest.mark.parametrize("light", ["spot", "directional"])
+@pytest.mark.parametrize("name", TECHNIQUES)
+def test_visibility_by_an_exported_shader_is_ours(chain, name, light):
+    language, draw = chain
+    of_light, picture, ours, mask = picture_of(name, light)
+    theirs = draw(to_shader(TECHNIQUES[name], of_light, language), picture)
+    differ = (np.abs(theirs - ours) > 1 / 255)[mask].mean()
+    print(language, name, light, differ)
+    assert differ <= 1e-3
+
+
+def test_constants_have_all_digits_and_a_comment():
+    text = to_shader(mapping(Castano(3), Bias(1 / 3)), LIGHTS["directional"](library_mesh("box")))
+    assert "const float SHADOW_CONSTANT_BIAS = 0.333333343;  // along the light's axis, in texels\n" in text
+    assert "const float SHADOW_WEIGHTS[5] = float[5](0.0, 0.25, 0.5, 0.25, 0.0);" in text
+    # What is 0 has no code.
+    assert "SHADOW_SLOPE_BIAS" not in text
+    assert "const bool SHADOW_HAS_NORMAL_OFFSET = false;" in text
+
+
+@pytest.mark.parametrize(
+    ("technique", "message"),
+    [
+        (shadow.ShadowVolumes(), r"the technique is ShadowVolumes, which has no shader; expected ShadowMapping"),
+        (mapping(shadow.VarianceShadowMap(), PLAIN), r"the filter is of type VarianceShadowMap, which has no shader"),
+        (mapping(Nearest(), Bias(1.0, factors=(1.0, 2.0))), r"the bias has factors, which have no shader"),
+        (mapping(Nearest(), PLAIN, SoftCompare(0.5, "gaussian")), r"the kernel gaussian, which has no shader"),
+        (ShadowMapping(Nearest(), PLAIN, layout=shadow.Cascades()), r"the layout is Cascades, which has no shader"),
+        (ShadowMapping(Nearest(), PLAIN, map=MapSettings(silhouettes=True)), r"silhouettes is true, .*expected false"),
+    ],
+)
+def test_what_has_no_shader_is_refused(technique, message):
+    with pytest.raises(ValueError, match=message):
+        to_shader(technique, LIGHTS["directional"](library_mesh("box")))
+
+
+def test_layers_and_unknown_languages_are_refused():
+    with pytest.raises(ValueError, match="the light is a PointLight, whose map has several layers"):
+        to_shader(mapping(Nearest(), PLAIN), PointLight((0.0, 3.0, 0.0), 0.1, 10.0))
+    with pytest.raises(ValueError, match="the language is 'metal'; expected one of glsl, wgsl, hlsl"):
+        to_shader(mapping(Nearest(), PLAIN), LIGHTS["directional"](library_mesh("box")), "metal")
