@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import LIGHTS
+from scenes import LIGHTS, marked
 from shader_chains import ByOpenGL, BySpirv, ByWebGPU, Picture
 
 from diffshadow import shadow
@@ -83,7 +83,7 @@ TECHNIQUES = {
 }
 
 
-@pytest.fixture(scope="module", params=["glsl", "wgsl", "hlsl"])
+@pytest.fixture(scope="module", params=marked(["glsl", "wgsl", "hlsl"], {"wgsl", "hlsl"}))
 def chain(request, tmp_path_factory):
     makers = {"glsl": ByOpenGL, "wgsl": ByWebGPU, "hlsl": lambda: BySpirv(tmp_path_factory.mktemp("hlsl"))}
     return request.param, makers[request.param]()
@@ -101,15 +101,17 @@ def picture_of(name, light):
     return scene.light, picture, np.asarray(technique.visibility(state, surface)), np.asarray(surface.mask)
 
 
-@pytest.mark.parametrize("light", ["spot", "directional"])
-@pytest.mark.parametrize("name", TECHNIQUES)
+@pytest.mark.parametrize("light", marked(LIGHTS, {"directional"}))
+@pytest.mark.parametrize("name", marked(TECHNIQUES, {*TECHNIQUES} - {"box, plane", "disk, early out"}))
 def test_visibility_by_an_exported_shader_is_ours(chain, name, light):
     language, draw = chain
     of_light, picture, ours, mask = picture_of(name, light)
     theirs = draw(to_shader(TECHNIQUES[name], of_light, language), picture)
     differ = (np.abs(theirs - ours) > 1 / 255)[mask].mean()
-    print(language, name, light, differ)
     assert differ <= 1e-3
+    penumbra = (ours > 0.01) & (ours < 0.99) & mask
+    assert penumbra.sum() > 200 or isinstance(TECHNIQUES[name].filter, Nearest)
+    assert 0.1 < (ours == 0)[mask].mean() < 0.9
 
 
 def test_constants_have_all_digits_and_a_comment():
@@ -137,8 +139,6 @@ def test_what_has_no_shader_is_refused(technique, message):
         to_shader(technique, LIGHTS["directional"](library_mesh("box")))
 
 
-def test_layers_and_unknown_languages_are_refused():
+def test_a_light_with_layers_is_refused():
     with pytest.raises(ValueError, match="the light is a PointLight, whose map has several layers"):
         to_shader(mapping(Nearest(), PLAIN), PointLight((0.0, 3.0, 0.0), 0.1, 10.0))
-    with pytest.raises(ValueError, match="the language is 'metal'; expected one of glsl, wgsl, hlsl"):
-        to_shader(mapping(Nearest(), PLAIN), LIGHTS["directional"](library_mesh("box")), "metal")

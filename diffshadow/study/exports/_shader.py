@@ -122,8 +122,8 @@ def _page(
         *(f"| {what} | {' | '.join(each)} |" for what, each in rows.items()),
     ]
     layer = {
-        "second": "Store the second depth from the light, not the nearest: draw twice, and in the second pass leave out "
-        "what is at the first pass's depth or in front of it.",
+        "second": "Store the second depth from the light, not the nearest: draw twice, and leave out in the second "
+        "pass what is at the first pass's depth or in front of it.",
         "midpoint": "Store the mean of the nearest and the second depth from the light: draw both, and average them.",
     }.get(settings.depth_layer)
     ways = {file: _way_of(light) for file, light in zip(files, scene.lights, strict=True)}
