@@ -160,7 +160,7 @@ def main(config: Path, /, *overrides: str, views: int = len(TRAINING), steps: in
     folder = common.write(settings, NAME, drawn, rows, summary)
     technique = found[LAST].technique
     for ending, text in (
-        ("glsl", shadow.to_glsl(technique.bias) + shadow.to_glsl(technique.filter)),
+        ("glsl", shadow.to_shader(technique, validation[0].shadow_map.light)),
         ("yaml", as_configuration(config, overrides, technique)),
     ):
         with io.atomic_path(folder / f"{NAME}.{ending}") as temporary:

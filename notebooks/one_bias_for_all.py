@@ -166,6 +166,3 @@ for title, technique in {"classical": classical, "learned": trained.technique}.i
     errors = {"RMSE": seen, "RMSE, other suns": apart}
     rows[title] = {name: fit.mean_square_error(views, technique) ** 0.5 for name, views in errors.items()}
 pd.DataFrame(rows).T.round(4)
-
-# %%
-print(shadow.to_glsl(trained.technique.bias)[:700], "...")

@@ -115,7 +115,7 @@ class ByOpenGL:
             texture = context.texture((width, height), channels, np.ascontiguousarray(image).tobytes(), dtype="f4")
             texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
             texture.use(unit)
-            found = next(each for each in program if each.endswith(name))
+            found = next(each for each in program if name in each)
             program[found] = unit
         corners = context.buffer(np.array([-1, -1, 3, -1, -1, 3], np.float32).tobytes())
         height, width = picture.images[0].shape[:2]

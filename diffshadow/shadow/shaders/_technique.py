@@ -29,7 +29,7 @@ def to_shader(technique: AbstractTechnique, light: AbstractLight, language: Shad
 
         ```python
         technique = shadow.ShadowMapping(shadow.PercentageCloser(1.5), shadow.Bias(constant=2.0))
-        print(shadow.to_shader(technique, sun, "wgsl"))
+        print(shadow.to_shader(technique, scene.light, "wgsl"))
         ```
     """
     if language not in LANGUAGES:
