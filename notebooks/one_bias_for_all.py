@@ -130,7 +130,7 @@ front.round(4)
 # the blocker. A perceptron of 8 units corrects the fitted bias by these. It is trained on thirty of the views, and
 # measured under other suns. Its error falls by a tenth where it was trained, and grows by 40 % where it was not: it has
 # learned these views. Whoever trains a bias has to look at views apart; `experiments/learned_bias.py` compares models so,
-# and finds a gain of a tenth. `shadow.to_glsl` prints a bias for a shader.
+# and finds a gain of a tenth. `shadow.to_shader` writes the technique as a shader.
 
 
 # %%
