@@ -78,7 +78,10 @@ TECHNIQUES = {
         RandomDisk(3.0, shadow.vogel(12, rotated=True), "nearest"), Bias(plane=ReceiverPlane(1.0, 0.4))
     ),
     "adaptive": mapping(Nearest(), Bias(plane=AdaptiveBias(0.1))),
-    "soft shadows": mapping(PercentageCloserSoft(light_size=0.15), Bias(plane=ReceiverPlane(deepening=0.0))),
+    "soft shadows": mapping(
+        PercentageCloserSoft(0.15, shadow.stratified(16, 2, seed=1), shadow.vogel(16, rotated=True)),
+        Bias(plane=ReceiverPlane(deepening=0.0)),
+    ),
     "exponential compare": mapping(Bilinear(), PLAIN, SoftCompare(0.5, "exponential")),
 }
 

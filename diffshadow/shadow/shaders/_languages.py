@@ -122,7 +122,7 @@ LANGUAGES: Mapping[str, Language] = {
     "wgsl": Language(
         "WGSL",
         "wgsl",
-        lambda name, length, values: f"const {name} = array<f32, {length}>({values});",
+        lambda name, length, values: f"var<private> {name} = array<f32, {length}>({values});",
         lambda kind, name, value: f"const {name}: {_WGSL_TYPES.get(kind, kind)} = {value};",
         _to_wgsl,
     ),
