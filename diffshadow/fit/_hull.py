@@ -20,6 +20,8 @@ from .problems._shape import mirrored
 
 # Visibility below which a pixel is in shadow.
 _DARK = 0.5
+# Pixels whose centre is less than this from the middle between a dark pixel and a lit one lie beside an outline.
+_BESIDE = 1.0
 # Cells along the longest side of a hull, and of the boxes that are searched for it, and how often.
 _CELLS, _SEARCHED, _SEARCHES = 64, 24, 5
 # λ of the smoothing that shrinks a hull. Its thin parts shrink too, and stay.
@@ -50,8 +52,8 @@ class Outline(NamedTuple):
         mask = np.asarray(view.surface.mask)
         points = np.asarray(view.surface.position, np.float64)[mask]
         towards = np.asarray(view.light.towards(view.surface.position), np.float64)[mask]
-        dark, counts = np.asarray(view.reference)[mask] < _DARK, np.asarray(view.weight)[mask] > 0
-        way = -towards[dark & counts].mean(axis=0)
+        image, counts = np.asarray(view.reference, np.float64)[mask], np.asarray(view.weight)[mask] > 0
+        way = -towards[(image < _DARK) & counts].mean(axis=0)
         way = way / np.linalg.norm(way)
         right = np.cross(way, np.eye(3)[np.abs(way).argmin()])
         right = right / np.linalg.norm(right)
@@ -59,14 +61,13 @@ class Outline(NamedTuple):
         source = points[0] + towards[0]
         seen, _ = _in_plane(frame, source, view.light.is_directional, points)
         low, high = seen.min(axis=0), seen.max(axis=0)
-        # As many points as pixels along a side, or more.
-        step = float((high - low).max()) / max(mask.shape)
-        at = grid_points(low - step, step, (max(mask.shape) + 3,) * 2)
+        # The pixels of a screen that faces the light, and some more round them.
+        step = float((high - low).max()) / max(max(mask.shape) - 1, 1)
+        at = grid_points(low - step, step, (max(mask.shape) + 2,) * 2)
         query: Any = KDTree(seen).query
         far, pixel = query(at)
-        inside = (dark | ~counts)[pixel] & (far <= 2 * step)
-        edt: Any = ndimage.distance_transform_edt
-        distance = np.where(inside, edt(inside) - 0.5, 0.5 - edt(~inside)) * step
+        seen_image = np.where(far <= 2 * step, np.where(counts, image, 0)[pixel], 1.0)
+        distance = _signed_distance(seen_image) * step
         return cls(frame, source, bool(view.light.is_directional), distance, low - step, step)
 
     def __call__(self, points: Float[HostArray, "*n 3"]) -> Float[HostArray, "*n"]:
@@ -91,6 +92,15 @@ class Outline(NamedTuple):
         return start, way / np.linalg.norm(way)
 
 
+def _signed_distance(image: Float[HostArray, "n n"]) -> Float[HostArray, "n n"]:
+    """How far pixels lie within a shadow, in pixels. A pixel beside the outline that is partly lit lies as far out."""
+    inside = image < _DARK
+    edt: Any = ndimage.distance_transform_edt
+    away = np.where(inside, edt(inside) - 0.5, 0.5 - edt(~inside))
+    crossed = (np.abs(away) < _BESIDE) & (image > 0) & (image < 1)
+    return np.where(crossed, _DARK - image, away)
+
+
 def _in_plane(
     frame: Float[HostArray, "3 3"],
     source: Float[HostArray, "3"],
@@ -112,7 +122,9 @@ def shadow_size(views: Sequence[ShapeView], at: Float[HostArray, "3"]) -> float:
     return max(Outline.of(view).size(at) for view in views)
 
 
-def hull_start(views: Sequence[ShapeView], *, faces: int = 10_000, symmetry: Sequence[float | int] | None = None) -> Mesh:
+def hull_start(
+    views: Sequence[ShapeView], *, faces: int = 10_000, symmetry: Sequence[float | int] | None = None
+) -> Mesh:
     """A closed mesh within the visual hull of the views' references, for a fit to start from.
 
     The hull is found on a grid of 64 cells along its longest side, and smoothed, which shrinks it. It has the hull's

@@ -15,7 +15,7 @@ from .._types import HostArray
 from ..geometry import weld
 from ._large_steps import neighbours
 
-Triangles = tuple[Float[HostArray, "v 3"], Int[HostArray, "f 3"]]
+Triangles = tuple[Float[HostArray, "_ 3"], Int[HostArray, "_ 3"]]
 """Vertices (v, 3) and faces (f, 3)."""
 
 # Closed parts with less than this of the largest part's volume are left out.
@@ -136,8 +136,8 @@ def _mirrored(vertices: Float[HostArray, "v 3"], faces: Int[HostArray, "f 3"], p
     other = np.arange(len(vertices))
     other[~on] = len(vertices) + np.arange((~on).sum())
     both = np.concatenate([vertices, (vertices - 2 * away[:, None] * normal)[~on]])
-    both, faces, _ = weld(both, np.concatenate([faces, other[faces][:, ::-1]]).astype(np.int32), 0)
-    return both, faces
+    both, faces, _ = weld(both, np.concatenate([faces, other[faces][:, ::-1]]), 0)
+    return both, faces.astype(np.int32)
 
 
 def _apart(vertices: Float[HostArray, "v 3"], faces: Int[HostArray, "f 3"]) -> Triangles:

@@ -357,7 +357,7 @@ def test_a_lamp_shows_a_shape_larger_than_it_is():
     for way in ((0.0, 0.0, -1.0), (-1.0, 0.0, 0.0), (0.6, 0.0, -0.8)):
         _, surface = wall(way)
         radius = 0.4 / (3**2 - 0.4**2) ** 0.5 * 5
-        lamp = geometry.SpotLight(-3 * np.array(way), way, cutoff=45, near=0.1, far=9.0)
+        lamp = geometry.SpotLight(-3 * np.array(way), way, outer_angle=45, near=0.1, far=9.0)
         views.append(ShapeView(lamp, surface, ellipse(radius, radius)))
     assert shadow_size(views, np.zeros(3)) == pytest.approx(0.8, abs=0.08)
     far = np.linalg.norm(np.asarray(hull_start(views, faces=1000).vertices), axis=1)
@@ -375,12 +375,17 @@ def test_shadows_without_a_hull_are_refused(walls, views):
         hull_start(apart)
 
 
+def poked_sphere(vertices):
+    """The top, a little aside, moved through the bottom."""
+    return vertices + np.where(vertices[:, 1:2] > 0.4, [0.013, -1.2, 0.007], 0)
+
+
 def test_a_wall_that_passes_through_another_is_moved_back_and_pinned_vertices_stay():
     mesh = sphere(subdivisions=3)
     vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces)
-    poked = vertices - UP * np.where(vertices[:, 1] > 0.45, 1.2, 0)[:, None]
+    poked = poked_sphere(vertices)
     free = vertices[:, 0] > -2
-    assert len(intersecting_faces(poked, faces)) > 20
+    assert len(intersecting_faces(poked, faces)) > 10
     apart = untangled(poked, faces, free)
     assert len(intersecting_faces(apart, faces)) == 0
     untouched = np.abs(vertices[:, 1]) < 0.1
@@ -394,8 +399,7 @@ def test_a_fit_ends_without_walls_that_pass_through_others(views, monkeypatch):
     """The stub pulls all vertices inwards; some of the start's lie beyond the opposite wall."""
     monkeypatch.setattr(programs, "compiled", lambda function, given: STUB)
     mesh = sphere(subdivisions=3)
-    vertices = np.asarray(mesh.vertices, float)
-    start = Mesh(vertices - UP * np.where(vertices[:, 1] > 0.45, 1.2, 0)[:, None], mesh.faces)
+    start = Mesh(poked_sphere(np.asarray(mesh.vertices, float)), mesh.faces)
     found = fit_shape(ShapeProblem(start, views), (ShapePhase(1.0, 0.001, 2),))
-    assert len(intersecting_faces(np.asarray(start.vertices), np.asarray(mesh.faces))) > 20
+    assert len(intersecting_faces(np.asarray(start.vertices), np.asarray(mesh.faces))) > 10
     assert len(intersecting_faces(found.state.vertices, found.state.faces)) == 0
