@@ -352,7 +352,7 @@ def test_a_start_lies_within_the_visual_hull_of_its_shadows_and_nearly_fills_it(
 
 
 def test_a_lamp_shows_a_shape_larger_than_it_is():
-    """A ball of radius 0.4 at the origin, lit from 3 away: a disk of radius 0.4 / √(3² − 0.4²) · 5 on walls 2 behind."""
+    """A ball of radius 0.4, lit from 3 away, on walls 2 behind: disks of radius 0.4 / √(3² − 0.4²) · 5."""
     views = []
     for way in ((0.0, 0.0, -1.0), (-1.0, 0.0, 0.0), (0.6, 0.0, -0.8)):
         _, surface = wall(way)
