@@ -25,7 +25,7 @@ _BESIDE = 1.0
 # Cells along the longest side of a hull, and of the boxes that are searched for it, and how often.
 _CELLS, _SEARCHED, _SEARCHES = 64, 24, 5
 # λ of the smoothing that shrinks a hull. Its thin parts shrink too, and stay.
-_SHRINKING = 1.0
+_SHRINKING = 3.0
 # The least sine of the angle between the directions of two shadows' lights.
 _LEAST_SINE = 0.1
 

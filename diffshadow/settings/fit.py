@@ -185,8 +185,8 @@ class ShapePhase(Settings):
 
 
 PHASES = (
-    {"strength": 20.0, "rate": 0.0225, "steps": 30, "normal_consistency": 1e-3},
-    {"strength": 5.0, "rate": 0.0225, "steps": 100, "normal_consistency": 1e-3},
+    {"strength": 20.0, "rate": 0.0225, "steps": 30, "normal_consistency": 1e-2},
+    {"strength": 5.0, "rate": 0.0225, "steps": 100, "normal_consistency": 1e-2},
     {"strength": 2.0, "rate": 0.015, "steps": 180, "normal_consistency": 1e-3},
 )
 """Phases of a fit of a shape from within its visual hull; what they leave out has its default."""
