@@ -74,12 +74,13 @@ def level_set(field: Field, faces: int, mirror: tuple[float, ...] | None = None)
         raise ValueError("the field is positive nowhere, so that it has no inside; expected some positive values")
     crossed = sum(float((np.diff(inside.astype(np.int8), axis=axis) != 0).sum()) for axis in range(3))
     edge = _EDGE * float(np.sqrt(crossed / 1.5 * field.step**2 / faces))
+    make = lambda: _whole(manifold3d.Manifold.level_set(at, [*field.low.tolist(), *top.tolist()], edge), mirror)
+    found = make()
     for _ in range(_TRIES):
-        made = manifold3d.Manifold.level_set(at, [*field.low.tolist(), *top.tolist()], edge)
-        found = _whole(made, mirror)
         if len(found[1]) <= faces:
             break
         edge *= max((len(found[1]) / faces) ** 0.5, _LONGER)
+        found = make()
     return _apart(*found)
 
 
