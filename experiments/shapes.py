@@ -8,8 +8,8 @@ configuration with images of several sizes. Each fit runs with large steps, and 
 strength 0, where every vertex follows its own gradient, by shorter steps (`--plain-rate`; of 0.3, 0.1 and 0.03, the
 first is best). Beside them stands the
 visual hull, the largest shape with these shadows: the intersection of the prisms that the targets' outlines cut out of
-space. No shape that casts the targets reaches beyond it, so a fit that is closer owes this to what it prefers: smooth
-shapes near its start.
+space. No shape that casts the targets reaches beyond it. Fits start within a coarse one, so a fit that is closer owes
+this to what it prefers: smooth shapes.
 
 The suns are spread by the golden angle, at elevations from 30 to 70 degrees. Every result is measured by its Chamfer
 distance from the truth, as a fraction of the longest side, and by the overlap of its shadows with the truth's (the
@@ -19,6 +19,7 @@ The figure has the distance and the overlap over the number of suns and over the
 three results of the last fit.
 """
 
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -125,10 +126,7 @@ def spread(count: int) -> str:
 
 def shapes_of(case: Case, plain_rate: float) -> dict[str, geometry.Mesh]:
     """The shape that each method finds."""
-    plain = [
-        fit.ShapePhase(0.0, phase.rate * plain_rate, phase.steps, phase.blur, phase.subdivisions)
-        for phase in case.plan.phases
-    ]
+    plain = [dataclasses.replace(phase, strength=0.0, rate=phase.rate * plain_rate) for phase in case.plan.phases]
     return {
         LARGE: fit.fit_shape(case.problem, case.plan.phases).mesh,
         PLAIN: fit.fit_shape(case.problem, plain).mesh,

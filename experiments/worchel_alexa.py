@@ -221,8 +221,9 @@ def art(data: Path, steps: int) -> Outcome:
         light_along((0, 0, -1)), raster.draw_surface(wall, camera), np.minimum(target / border, 1), border**2
     )
     problem = fit.ShapeProblem(geometry.Mesh(vertices, faces), [view], technique=technique_with(2.5))
-    # Their rate is in world units, and ours a fraction of the longest side.
-    phase = fit.ShapePhase(strength=20, rate=0.2 / float(np.ptp(vertices, axis=0).max()), steps=steps, blur=0)
+    # Their rate is in world units, and ours a fraction of the shadow's longest side.
+    rate = 0.2 / fit.shadow_size([view], vertices.mean(axis=0))
+    phase = fit.ShapePhase(strength=20, rate=rate, steps=steps, blur=0)
     fit.check_shape(problem, [phase])
     images, began = [], [0.0]
 

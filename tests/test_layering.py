@@ -24,6 +24,7 @@ COMMON = {
     "_checks",
     "_pictures",
     "_progress",
+    "_self_intersections",
     "_words",
     "settings",
 }
@@ -47,7 +48,7 @@ FOLDERS = {
             "_front",
             "_bounds",
         ),
-        *("_fit", "_train", "_moving_lights", "_shape_steps", "_shape_program", "_shape"),
+        *("_fit", "_train", "_moving_lights", "_hull", "_shape_steps", "_shape_program", "_shape"),
     ),
     "config": ("sections", "framing", "reading", "building"),
     "study": ("record", "pages", "imports", "exports", "_drawn", "remarks", "runs", "sweeps", "advice", "_report"),

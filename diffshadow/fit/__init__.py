@@ -19,6 +19,8 @@ from ._fit import check_loss as check_loss
 from ._front import FrontPoint
 from ._history import Step
 from ._how import Search, Sureness
+from ._hull import hull_start
+from ._hull import shadow_size as shadow_size
 from ._loss import Loss
 from ._parameters import Parameter, Parameters, with_values
 from ._parameters import parameter_names as parameter_names
@@ -73,6 +75,7 @@ __all__ = [
     "TrainingPhase",
     "fit",
     "fit_shape",
+    "hull_start",
     "mean_square_error",
     "train",
     "with_values",

@@ -5,12 +5,22 @@ Jacobson & Jakob ("Large Steps in Inverse Rendering of Geometry", ACM Transactio
 u = (I + λ L) x instead of the vertices x, with L the mesh's Laplacian. A step in u moves neighbours together.
 """
 
+from typing import Any
+
 import numpy as np
 import scipy.sparse as sparse
 from jaxtyping import Bool, Float, Int
 from scipy.sparse.linalg import splu
 
 from .._types import HostArray
+
+
+def neighbours(count: int, faces: Int[HostArray, "f 3"]) -> Any:
+    """Which of so many vertices share an edge: a sparse matrix (count, count) of ones."""
+    pairs = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    pairs = pairs[pairs[:, 0] != pairs[:, 1]]
+    near = sparse.coo_array((np.ones(len(pairs)), pairs.T), shape=(count, count))
+    return near + near.T
 
 
 class LargeSteps:
@@ -27,10 +37,7 @@ class LargeSteps:
         strength: float,
     ):
         count = len(vertices)
-        pairs = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
-        pairs = pairs[pairs[:, 0] != pairs[:, 1]]
-        near = sparse.coo_array((np.ones(len(pairs)), pairs.T), shape=(count, count))
-        near = near + near.T
+        near = neighbours(count, faces)
         whole = (sparse.eye_array(count) + strength * (sparse.diags_array(near.sum(axis=1)) - near)).tocsr()
         self._free, self._start = free, np.array(vertices)
         self._matrix = whole[free][:, free].tocsc()

@@ -13,10 +13,12 @@ from jaxtyping import Float
 from .._types import HostArray
 from ..geometry import Mesh, split_in_four
 from ..settings.fit import widest_blur
+from ._hull import shadow_size
 from ._large_steps import LargeSteps
 from ._regularizers import Regularizers
 from ._shape_program import Level, ShapeProgram
 from ._shape_steps import PHASES, FittedShape, ShapePhase, ShapeState, ShapeStep
+from ._untangle import untangled
 from .problems import ShapeProblem
 from .problems._shape import Evaluation, casts_shadow, crossings_for
 
@@ -24,6 +26,8 @@ from .problems._shape import Evaluation, casts_shadow, crossings_for
 _DECAY, _DECAY_OF_SQUARES = 0.9, 0.999
 # The rate at a phase's end, as a fraction of the rate at its start.
 _LAST_RATE = 0.05
+# After so many steps, and at the end of a phase, the surface is mended where it intersects itself.
+_UNTANGLED = 5
 # A view in whose image no pixel is darker than this sees no shadow.
 _UNSHADOWED = 0.999
 
@@ -94,7 +98,8 @@ class _Fit:
     def __init__(self, problem: ShapeProblem, phases: tuple[ShapePhase, ...]):
         self.problem, self.phases = problem, phases
         self.program = ShapeProgram(problem, sum(phase.subdivisions for phase in phases))
-        self.size = float(np.ptp(np.asarray(problem.mesh.vertices, np.float64)[np.asarray(problem.free)], axis=0).max())
+        middle = np.asarray(problem.mesh.vertices, np.float64)[np.asarray(problem.free)].mean(axis=0)
+        self.size = shadow_size(problem.views, middle)
 
     def check(self) -> None:
         """**Raises** what `begin` raises."""
@@ -190,11 +195,16 @@ class _Fit:
             loss = float(found.loss)
             state = self._stepped(state, level, large, found, penalties(present)[1])
             state = state._replace(crossings=crossings, history=(*state.history, (state.phase, loss)))
+            before, present = present, self.program.mirrored(level, large.vertices_of(state.u))
+            if state.step % _UNTANGLED == 0 or state.step == phase.steps:
+                apart = untangled(present, faces, level.free)
+                if apart is not present:
+                    state = state._replace(u=large.u_of(apart))
+                    present = self.program.mirrored(level, large.vertices_of(state.u))
             if on_step is not None:
-                step = ShapeStep(state.phase, state.step - 1, loss, self.program.images(found), state, present, faces)
+                step = ShapeStep(state.phase, state.step - 1, loss, self.program.images(found), state, before, faces)
                 if on_step(step):
                     return state, True
-            present = self.program.mirrored(level, large.vertices_of(state.u))
         found, crossings = self.program.evaluate(level, present, state.lights, 0.0, state.crossings)
         loss, is_best = float(found.loss), float(found.loss) < min(state.losses)
         none = np.zeros((0, 3))

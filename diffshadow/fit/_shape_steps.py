@@ -18,7 +18,8 @@ class ShapePhase:
 
     - `strength`: λ, how strongly the steps of neighbouring vertices are smoothed. It is counted in edges: where
         triangles are split in four, four times as much smooths as far.
-    - `rate`: length of the first steps, as a fraction of the longest side of the start. It falls along half a cosine.
+    - `rate`: length of the first steps, as a fraction of the longest side of the views' shadows at the start's distance
+        from the lights. It falls along half a cosine.
     - `steps`: how many.
     - `blur`: standard deviation, in pixels, of the Gaussian under which images are compared.
     - `subdivisions`: how often each triangle is split in four before the phase.
@@ -46,7 +47,7 @@ class ShapePhase:
 
 
 PHASES = tuple(ShapePhase(**phase) for phase in DEFAULT_PHASES)
-"""Phases for a start of about 2,500 vertices."""
+"""Phases for a start of about 5,000 vertices within the visual hull, as `hull_start` makes it."""
 
 
 class ShapeState(NamedTuple):

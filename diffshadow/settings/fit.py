@@ -164,8 +164,8 @@ class ShapePhase(Settings):
     rate: Annotated[
         float,
         Limits(0, 1, above_low=True),
-        "length of the first steps, as a fraction of the start's longest side; it falls to a twentieth",
-    ] = 0.1
+        "length of the first steps, as a fraction of the longest side of the shadows; it falls to a twentieth",
+    ] = 0.05
     steps: Annotated[int, Limits(1, 100_000), Unit("steps"), "number of steps"] = 150
     blur: Annotated[Blur, "standard deviation of the Gaussian under which images are compared"] = 1.0
     # Each makes four triangles of one; a sphere of 20 has 1.3 million after 8.
@@ -185,11 +185,11 @@ class ShapePhase(Settings):
 
 
 PHASES = (
-    {"strength": 20.0, "rate": 0.1, "steps": 150},
-    {"strength": 5.0, "rate": 0.05, "steps": 150},
-    {"strength": 2.0, "rate": 0.02, "steps": 100},
+    {"strength": 20.0, "rate": 0.0225, "steps": 30, "normal_consistency": 1e-2},
+    {"strength": 5.0, "rate": 0.0225, "steps": 100, "normal_consistency": 1e-2},
+    {"strength": 2.0, "rate": 0.015, "steps": 180, "normal_consistency": 1e-3},
 )
-"""Phases of a fit of a shape with about 2,500 vertices; what they leave out has its default."""
+"""Phases of a fit of a shape from within its visual hull; what they leave out has its default."""
 Screen = Literal["facing", "below"]
 
 

@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 
 from diffshadow import geometry
-from diffshadow.fit import ShapePhase, ShapeProblem, ShapeView, check_shape, fit_shape
+from diffshadow._self_intersections import intersecting_faces
+from diffshadow.fit import ShapePhase, ShapeProblem, ShapeView, check_shape, fit_shape, hull_start, shadow_size
 from diffshadow.fit import _shape as shapes
 from diffshadow.fit import _shape_program as programs
 from diffshadow.fit._large_steps import LargeSteps
 from diffshadow.fit._moving_lights import MovingLights
 from diffshadow.fit._regularizers import Regularizers
+from diffshadow.fit._untangle import untangled
 from diffshadow.fit.problems import together
 from diffshadow.fit.problems._aligned import Receivers
 from diffshadow.fit.problems._shape import sights
@@ -314,3 +316,90 @@ def test_the_whole_gradient_matches_differences():
     assert moves.sum() > 100
     assert np.quantile(error, 0.95) < 1e-3
     assert np.linalg.norm(difference - found) < 1e-3 * np.linalg.norm(difference)
+
+
+def test_steps_are_as_long_whatever_the_size_of_the_start(views, monkeypatch):
+    """A fraction of the shadows' longest side, which is 1.4; the last of 3 steps has 0.05 of the first one's rate."""
+    monkeypatch.setattr(programs, "compiled", lambda function, given: STUB)
+    moved = []
+    for radius in (0.2, 0.5):
+        start = sphere(radius)
+        found = fit_shape(ShapeProblem(start, views), (ShapePhase(0.0, 0.01, 1, normal_consistency=0.0),))
+        moved.append(np.linalg.norm(found.state.vertices - np.asarray(start.vertices), axis=1).max())
+    assert moved[0] == pytest.approx(moved[1], rel=0.02)
+    assert shadow_size(views, np.zeros(3)) == pytest.approx(1.4, abs=2 * 2 / SIDE)
+
+
+def test_a_start_lies_within_the_visual_hull_of_its_shadows_and_nearly_fills_it(views):
+    """The shadows have halves of 0.7 along x, 0.35 along z, and 0.5 upwards."""
+    start = hull_start(views, faces=2000)
+    points = np.asarray(start.vertices)
+    assert Edges.of(start).is_closed
+    assert 1000 < len(start.faces) <= 2000
+    assert len(np.unique(points, axis=0)) == len(points)
+    half = np.array([0.7, 0.5, 0.35])
+    assert (np.abs(points).max(axis=0) < half).all()
+    assert (np.abs(points).max(axis=0) > half - 3 * 2 / SIDE).all()
+    assert np.hypot(points[:, 0] / 0.7, points[:, 1] / 0.5).max() < 1
+    a, b, c = np.moveaxis(points[np.asarray(start.faces)], 1, 0)
+    # The hull of two ellipses: 16/3 of the halves' product.
+    assert 0.5 < np.sum(a * np.cross(b, c)) / 6 / (16 / 3 * half.prod()) < 1
+    mirror = (1.0, 0.0, 0.0, 0.0)
+    whole = hull_start(views, faces=2000, symmetry=mirror)
+    assert Edges.of(whole).is_closed
+    programs.mirror_partners(np.asarray(whole.vertices, float), mirror)
+    assert np.abs(np.asarray(whole.vertices)).max(axis=0) == pytest.approx(np.abs(points).max(axis=0), abs=2 / SIDE)
+
+
+def test_a_lamp_shows_a_shape_larger_than_it_is():
+    """A ball of radius 0.4, lit from 3 away, on walls 2 behind: disks of radius 0.4 / √(3² − 0.4²) · 5."""
+    views = []
+    for way in ((0.0, 0.0, -1.0), (-1.0, 0.0, 0.0), (0.6, 0.0, -0.8)):
+        _, surface = wall(way)
+        radius = 0.4 / (3**2 - 0.4**2) ** 0.5 * 5
+        lamp = geometry.SpotLight(-3 * np.array(way), way, outer_angle=45, near=0.1, far=9.0)
+        views.append(ShapeView(lamp, surface, ellipse(radius, radius)))
+    assert shadow_size(views, np.zeros(3)) == pytest.approx(0.8, abs=0.08)
+    far = np.linalg.norm(np.asarray(hull_start(views, faces=1000).vertices), axis=1)
+    assert far.min() > 0.25
+    assert far.max() < 0.52
+
+
+def test_shadows_without_a_hull_are_refused(walls, views):
+    with pytest.raises(ValueError, match="shine from one direction"):
+        hull_start(views[:1])
+    high, low = np.ones((2, SIDE, SIDE))
+    high[24:28, 8:24], low[4:8, 8:24] = 0, 0
+    apart = [ShapeView(*at, image) for at, image in zip(walls, (high, low), strict=True)]
+    with pytest.raises(ValueError, match="no shape casts all of the views' shadows"):
+        hull_start(apart)
+
+
+def poked_sphere(vertices):
+    """The top, a little aside, moved through the bottom."""
+    return vertices + np.where(vertices[:, 1:2] > 0.4, [0.013, -1.2, 0.007], 0)
+
+
+def test_a_wall_that_passes_through_another_is_moved_back_and_pinned_vertices_stay():
+    mesh = sphere(subdivisions=3)
+    vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces)
+    poked = poked_sphere(vertices)
+    free = vertices[:, 0] > -2
+    assert len(intersecting_faces(poked, faces)) > 10
+    apart = untangled(poked, faces, free)
+    assert len(intersecting_faces(apart, faces)) == 0
+    untouched = np.abs(vertices[:, 1]) < 0.1
+    np.testing.assert_array_equal(apart[untouched], vertices[untouched])
+    assert untangled(vertices, faces, free) is vertices
+    free = vertices[:, 1] > 0
+    np.testing.assert_array_equal(untangled(poked, faces, free)[~free], poked[~free])
+
+
+def test_a_fit_ends_without_walls_that_pass_through_others(views, monkeypatch):
+    """The stub pulls all vertices inwards; some of the start's lie beyond the opposite wall."""
+    monkeypatch.setattr(programs, "compiled", lambda function, given: STUB)
+    mesh = sphere(subdivisions=3)
+    start = Mesh(poked_sphere(np.asarray(mesh.vertices, float)), mesh.faces)
+    found = fit_shape(ShapeProblem(start, views), (ShapePhase(1.0, 0.001, 2),))
+    assert len(intersecting_faces(np.asarray(start.vertices), np.asarray(mesh.faces))) > 10
+    assert len(intersecting_faces(found.state.vertices, found.state.faces)) == 0

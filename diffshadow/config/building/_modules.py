@@ -22,6 +22,7 @@ from ._scene import build_lights as build_lights
 from ._scene import build_meshes as build_meshes
 from ._shape import Screen as Screen
 from ._shape import ShapePlan as ShapePlan
+from ._shape import build_free as build_free
 from ._shape import build_shape as build_shape
 from ._technique import build_fittable as build_fittable
 from ._technique import build_shading, build_shadow_mapping, module_of, values_of

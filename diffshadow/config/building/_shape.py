@@ -34,8 +34,6 @@ _WIDER = 2.0
 _DARK, _MOSTLY = 0.5, 0.5
 # The least sine of the angle at which light may graze a level screen.
 _GRAZING = 0.1
-# A sphere to start from: its diameter as a fraction of the meshes' longest side, and how often triangles are split.
-_START, _SPLITS = 0.75, 4
 _AXES = "xyz"
 
 
@@ -80,7 +78,7 @@ class ShapePlan(NamedTuple):
 
     - `seen`, `unseen`: the screens of the fit's lights and of those for measuring.
     - `starts`: for each light of the fit, whether it is fitted too, and the light that the fit starts from.
-    - `start`: where the fit starts; `free`: (v,), which of its vertices move; `symmetry`: as for `fit.ShapeProblem`.
+    - `start`: where the fit starts; none for the targets' visual hull. `symmetry`: as for `fit.ShapeProblem`.
     - `targets`: the mesh whose shadow each light should cast; empty if there are images.
     - `truth`: the mesh that casts all of these shadows, if there is one.
     - `images`, `weights`: (h, w), of each light; empty without images.
@@ -90,8 +88,7 @@ class ShapePlan(NamedTuple):
     seen: list[Screen]
     unseen: list[Screen]
     starts: list[tuple[bool, geometry.AbstractLight]]
-    start: geometry.Mesh
-    free: Bool[HostArray, " v"]
+    start: geometry.Mesh | None
     symmetry: tuple[float, float, float, float] | None
     targets: list[geometry.Mesh]
     truth: geometry.Mesh | None
@@ -119,18 +116,18 @@ def build_shape(config: Config) -> ShapePlan:
         with blame((*here, "targets", i)):
             targets.append(build_mesh(section))
     is_traced = not (shape.images or targets)
-    start = casters
+    start = None if is_traced else _welded(casters)
     if shape.start is not None:
         with blame((*here, "start")):
-            start = build_mesh(shape.start)
-    elif is_traced:
-        start = _sphere(casters)
-    whole = geometry.merge([start, *(targets or [casters])])
-    middle = np.asarray(start.bounds if targets or shape.images else casters.bounds, np.float64).mean(axis=0)
+            start = _welded(build_mesh(shape.start))
+    about = casters if start is None else start
+    whole = geometry.merge([about, *(targets or [casters])])
+    middle = np.asarray(casters.bounds if is_traced else about.bounds, np.float64).mean(axis=0)
     radius = float(np.linalg.norm(np.asarray(whole.vertices)[np.unique(whole.faces)] - middle, axis=-1).max())
     extent = _EXTENT * radius if shape.extent is None else shape.extent
     screens = lambda lights: [_screen(blame, key, light, shape, middle, extent) for key, light in lights.items()]
-    start = _welded(start)
+    if start is not None:
+        build_free(config, start)
     images, weights = _images(shape, blame)
     phases = [
         fit.ShapePhase(**{key: getattr(phase, key) for key in type(phase).model_fields}) for phase in shape.phases
@@ -145,8 +142,7 @@ def build_shape(config: Config) -> ShapePlan:
         ],
         unseen=screens({(*here, "unseen", i): light for i, light in enumerate(shape.unseen)}),
         start=start,
-        free=_free(shape, start, blame),
-        symmetry=_symmetry(shape, start),
+        symmetry=_symmetry(shape, about),
         targets=[] if images else targets or [casters] * len(config.scene.each_light),
         truth=casters if is_traced else None,
         images=images,
@@ -175,25 +171,21 @@ def _moved_light(
     return light.at(pose)
 
 
-def _sphere(casters: geometry.Mesh) -> geometry.Mesh:
-    """A sphere in the middle of the casters, smaller than they are."""
-    low, high = np.asarray(casters.bounds, np.float64)
-    radius = _START * float((high - low).max()) / 2
-    mesh = geometry.library_mesh("sphere", radius=radius, subdivisions=_SPLITS)
-    return geometry.Mesh(
-        np.asarray(mesh.vertices) - np.asarray(mesh.bounds).mean(axis=0) + (low + high) / 2, mesh.faces
-    )
-
-
 def _welded(mesh: geometry.Mesh) -> geometry.Mesh:
     vertices, faces, _ = geometry.weld(np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces), 0)
     return geometry.Mesh(vertices, faces)
 
 
-def _free(shape: ShapeConfig, start: geometry.Mesh, blame: Blame) -> Bool[HostArray, " v"]:
+def build_free(config: Config, start: geometry.Mesh) -> Bool[HostArray, " v"]:
+    """Which vertices (v,) of the mesh that a fit starts from move.
+
+    **Raises** `ConfigError` if none does.
+    """
+    shape = config.fit.shape
+    assert shape is not None
     heights = np.asarray(start.vertices)[:, 1]
     free = np.ones(len(heights), bool) if shape.pinned is None else heights >= shape.pinned
-    with blame(("fit", "shape", "pinned")):
+    with blame_of(config, ("fit", "shape", "pinned")):
         if not free.any():
             raise ValueError(
                 f"is {shape.pinned:g}, above all of the start's vertices; expected some that move: lower it to less "

@@ -104,8 +104,8 @@ class ShapeConfig(Section, fit.Shape):
 
     start: Annotated[
         MeshConfig | None,
-        "mesh that the fit starts from; default: the scene's casters with images or targets, else a sphere of half "
-        "their size",
+        "mesh that the fit starts from; default: the scene's casters with images or targets, else what the shadows "
+        "leave of space, made smaller",
     ] = None
     images: Annotated[_Files, "the shadow under each light, as the light sees it: dark on white"] = ()
     masks: Annotated[_Files, "how much each pixel of an image counts, from black for not at all to white"] = ()

@@ -105,4 +105,4 @@ def _check_shape(config: Config, console: Console) -> Checked:
         plan, problem, _ = shape_problem(config, progress)
         fit.check_shape(problem, plan.phases)
     table.print_lines(console, plan.remarks, warn=True)
-    return Checked(plan.start.faces.shape[0])
+    return Checked(problem.mesh.faces.shape[0])

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from ... import fit, geometry, io, metrics
 from ..._types import HostArray
-from ...config import CONFIG_FILE, Config, ConfigError, Mistake, Screen, ShapePlan, build_shape
+from ...config import CONFIG_FILE, Config, ConfigError, Mistake, Screen, ShapePlan, build_free, build_shape
 from ..record import _runs as records
 from ..record._folder import folder_of
 from ..record._stored import StoredRun
@@ -104,7 +104,11 @@ def shape_problem(config: Config, progress: Progress | None = None) -> tuple[Sha
         views = []
         for screen, target, weight, (moves, light) in zip(plan.seen, targets, weights, plan.starts, strict=True):
             views.append(fit.ShapeView(light, screen.surface(), target, weight, moves=moves))
-        return plan, fit.ShapeProblem(plan.start, views, free=plan.free, symmetry=plan.symmetry), targets
+        start = fit.hull_start(views, symmetry=plan.symmetry) if plan.start is None else plan.start
+        free = build_free(config, start)
+        return plan, fit.ShapeProblem(start, views, free=free, symmetry=plan.symmetry), targets
+    except ConfigError:
+        raise
     except ValueError as error:
         raise _error(config, str(error)) from error
 
@@ -116,7 +120,8 @@ def fit_shape(config: Config, progress: Progress) -> FittedShapeRun:
     """
     checkpoint = Checkpoint(config, folder_of(config))
     plan, problem, targets = shape_problem(config, progress)
-    kept: list[tuple[HostArray, HostArray]] = [(np.asarray(plan.start.vertices), np.asarray(plan.start.faces))]
+    start = problem.mesh
+    kept: list[tuple[HostArray, HostArray]] = [(np.asarray(start.vertices), np.asarray(start.faces))]
     with progress.stage("fitting"):
         try:
             watch = _watch(progress, plan, checkpoint, kept)
@@ -133,7 +138,7 @@ def fit_shape(config: Config, progress: Progress) -> FittedShapeRun:
         pairs = [] if plan.truth is None else [(shadow_on(s, mesh), shadow_on(s, plan.truth)) for s in plan.unseen]
     kept.append((np.asarray(mesh.vertices), np.asarray(mesh.faces)))
     with progress.stage("measuring"):
-        measured = _measured(plan, result, targets, rays, pairs)
+        measured = _measured(plan, start, result, targets, rays, pairs)
         said = shape_verdict(result, measured)
     return FittedShapeRun(config, plan, result, targets, rays, kept, measured, said)
 
@@ -165,6 +170,7 @@ def shadow_on(screen: Screen, mesh: geometry.Mesh) -> Image:
 
 def _measured(
     plan: ShapePlan,
+    start: geometry.Mesh,
     result: fit.FittedShape,
     targets: list[Image],
     rays: list[Image],
@@ -177,7 +183,7 @@ def _measured(
         (np.asarray(result.mesh.vertices), np.asarray(result.mesh.faces)),
     )
     images = zip(plan.seen, targets, result.initial_images, result.images, rays, strict=True)
-    middle = np.asarray(plan.start.bounds, np.float64).mean(axis=0)
+    middle = np.asarray(start.bounds, np.float64).mean(axis=0)
     lights = zip(plan.seen, plan.starts, result.lights, strict=True)
     chamfer = size = None
     if plan.truth is not None:

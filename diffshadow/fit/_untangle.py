@@ -1,0 +1,40 @@
+"""Surfaces of a fit that intersect themselves: they are smoothed where they do, until they no longer do.
+
+A shadow tells nothing about walls inside of a shape, so that nothing in a fit's loss keeps one wall from passing
+through another.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from .._self_intersections import intersecting_faces
+from .._types import HostArray
+from ._large_steps import neighbours
+
+# How often all intersections are looked for, and how often vertices move half of the way to their neighbours' mean
+# before they are looked for again.
+_ROUNDS, _MOVES = 20, 3
+
+
+def untangled(
+    vertices: Float[HostArray, "v 3"], faces: Int[HostArray, "f 3"], free: Bool[HostArray, " v"]
+) -> Float[HostArray, "v 3"]:
+    """The vertices of a surface, moved where faces intersect, and their neighbours. Those that are not `free` stay.
+
+    Some faces may still intersect: those of parts that stay, or that lie within one another.
+    """
+    near = None
+    for _ in range(_ROUNDS):
+        meeting = intersecting_faces(vertices, faces)
+        meeting = meeting[free[faces[meeting]].any(axis=(1, 2))]
+        if not len(meeting):
+            break
+        if near is None:
+            near, vertices = neighbours(len(vertices), faces), vertices.copy()
+        moved = np.zeros(len(vertices))
+        moved[faces[meeting]] = 1
+        at = free & ((moved > 0) | (near @ moved > 0))
+        own = near[at]
+        for _ in range(_MOVES):
+            vertices[at] = (vertices[at] + (own @ vertices) / own.sum(axis=1)[:, None]) / 2
+    return vertices
