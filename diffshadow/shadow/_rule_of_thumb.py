@@ -28,7 +28,7 @@ def bias_for(filter: AbstractFilter, plane: AbstractBias | None = None, *, acros
         ```python
         filter = shadow.RandomDisk(3.0)
         bias = shadow.bias_for(filter)
-        f"{bias.constant.value:.1f} and {bias.slope.value:.1f} texels"  # 3.2 and 2.5 texels
+        f"{bias.constant.value:.1f} and {bias.slope.value:.1f} texels"  # 2.5 and 2.2 texels
         ```
     """
     if not across > 0:
