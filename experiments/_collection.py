@@ -1,61 +1,79 @@
 """A collection of scenes drawn from a seed: what rules of thumb are measured over.
 
 A scene is a configuration, as in a YAML file. Kinds of scenes take turns: single objects, groups of them, streets,
-woods, fences and walls, hills, rooms with a lamp, and open meshes. Suns are anywhere in the sky but
-its lowest 10 degrees, cameras are near and far, maps have 512 to 4096 texels a side, and sizes range over four orders
-of magnitude.
+woods, fences and walls, hills, rooms with a lamp, open meshes and crowds on wide grounds, and, if there are mesh files,
+one of these on a ground, and several on a wide one. Suns are anywhere in the sky but its lowest 10 degrees, cameras are
+near and far, maps have 512 to 4096 texels a side (256 to 2048 for wide grounds), and sizes range over four orders of
+magnitude.
 """
 
 import math
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
 Rng = np.random.Generator
 Meshes = list[dict[str, Any]]
+Made = tuple[Meshes, dict[str, Any], dict[str, Any]]
+"""The meshes, the camera and the light of a scene."""
 
 SUN_RADIUS = 0.27
 """The sun's angular radius, in degrees."""
 _SIZES = (-2.0, 2.0)
 _LEAST_ELEVATION = 10.0
 _MAPS = (512, 1024, 2048, 4096)
+# Of wide grounds, where a map often has few texels for what stands on them.
+_WIDE_MAPS = (256, 512, 1024, 2048)
 # A point light has six of them.
 _CUBE_MAPS = (256, 512, 1024)
 # Room for a kernel of 8 texels at the border of a face of 256.
 _GUARD = 0.15
 
 
-def scene(seed: int, index: int, pixels: int) -> dict[str, Any]:
-    """The configuration of scene number `index`, with square images of `pixels` a side."""
-    rng = np.random.default_rng([seed, index])
-    kind = kind_of(index)
-    meshes, camera, light = KINDS[kind](rng)
-    size = 10 ** rng.uniform(*_SIZES)
-    maps = _CUBE_MAPS if light["type"] == "point" else _MAPS
-    side = int(rng.choice(maps))
-    return {
-        "name": f"{kind}_{index}",
-        "scene": {
-            "meshes": [_scaled(mesh, size) for mesh in meshes],
-            "camera": {**_scaled(camera, size), "resolution": [pixels, pixels]},
-            "light": _scaled(light, size),
-        },
-        "shadow_map": {"resolution": [side, side]},
-        "reference": {"samples": 16},
-    }
+class Collection(NamedTuple):
+    """All scenes of a seed. Number `index` has the same scene, however many are drawn.
 
+    - `files`: paths of mesh files, each for some of the scenes.
+    """
 
-def size_of(seed: int, index: int) -> float:
-    """By what a scene is scaled from sizes that engines expect, where a unit is a metre."""
-    rng = np.random.default_rng([seed, index])
-    KINDS[kind_of(index)](rng)
-    return float(10 ** rng.uniform(*_SIZES))
+    seed: int
+    files: Sequence[str] = ()
 
+    @property
+    def kinds(self) -> Sequence[str]:
+        """The kinds that take turns."""
+        return [*KINDS, *(OF_FILES if self.files else ())]
 
-def kind_of(index: int) -> str:
-    """The kind of a scene."""
-    return list(KINDS)[index % len(KINDS)]
+    def kind(self, index: int) -> str:
+        """The kind of a scene."""
+        return self.kinds[index % len(self.kinds)]
+
+    def scene(self, index: int, pixels: int) -> dict[str, Any]:
+        """The configuration of scene number `index`, with square images of `pixels` a side."""
+        rng, (meshes, camera, light), size = self._drawn(index)
+        kind = self.kind(index)
+        maps = _CUBE_MAPS if light["type"] == "point" else _WIDE_MAPS if kind in WIDE else _MAPS
+        side = int(rng.choice(maps))
+        return {
+            "name": f"{kind}_{index}",
+            "scene": {
+                "meshes": [_scaled(mesh, size) for mesh in meshes],
+                "camera": {**_scaled(camera, size), "resolution": [pixels, pixels]},
+                "light": _scaled(light, size),
+            },
+            "shadow_map": {"resolution": [side, side]},
+            "reference": {"samples": 16},
+        }
+
+    def size(self, index: int) -> float:
+        """By what a scene is scaled from sizes that engines expect, where a unit is a metre."""
+        return self._drawn(index)[2]
+
+    def _drawn(self, index: int) -> tuple[Rng, Made, float]:
+        rng, kind = np.random.default_rng([self.seed, index]), self.kind(index)
+        made = OF_FILES[kind](rng, self.files) if kind in OF_FILES else KINDS[kind](rng)
+        return rng, made, float(10 ** rng.uniform(*_SIZES))
 
 
 def _scaled(section: dict[str, Any], size: float) -> dict[str, Any]:
@@ -129,12 +147,12 @@ def _object(rng: Rng) -> dict[str, Any]:
     return {**made[int(rng.integers(len(made)))](), "rotate": [0, round(_turn(rng), 3), 0]}
 
 
-def _single(rng: Rng) -> tuple[Meshes, dict[str, Any], dict[str, Any]]:
+def _single(rng: Rng) -> Made:
     ground = _piece("plane", size=round(_uniform(rng, 2.5, 8), 2))
     return [_object(rng), ground], _orbit(rng), _sun_or_lamp(rng)
 
 
-def _group(rng: Rng) -> tuple[Meshes, dict[str, Any], dict[str, Any]]:
+def _group(rng: Rng) -> Made:
     pieces = []
     for i in range(int(rng.integers(4, 8))):
         far, turn = (0.0, 0.0) if i == 0 else (_uniform(rng, 0.8, 2.2), _turn(rng))
@@ -143,7 +161,7 @@ def _group(rng: Rng) -> tuple[Meshes, dict[str, Any], dict[str, Any]]:
     return [*pieces, _piece("plane", size=7.0)], _orbit(rng), _sun_or_lamp(rng)
 
 
-def _street(rng: Rng) -> tuple[Meshes, dict[str, Any], dict[str, Any]]:
+def _street(rng: Rng) -> Made:
     """Houses on both sides, with fences, trees and a wall, seen from the height of eyes or of a balcony."""
     houses, length = [], _uniform(rng, 30, 90)
     for side in (-1, 1):
@@ -170,7 +188,7 @@ def _tree(rng: Rng, at: tuple[float, float, float], height: float = 4.0) -> Mesh
     return [trunk, _piece("blob", (x, y + 0.45 * height, z), **crown)]
 
 
-def _woods(rng: Rng) -> tuple[Meshes, dict[str, Any], dict[str, Any]]:
+def _woods(rng: Rng) -> Made:
     trees: Meshes = []
     for _ in range(int(rng.integers(10, 25))):
         at = (_uniform(rng, -12, 12), 0.0, _uniform(rng, -35, -3))
@@ -179,7 +197,7 @@ def _woods(rng: Rng) -> tuple[Meshes, dict[str, Any], dict[str, Any]]:
     return [*trees, _piece("plane", (0, 0, -15), size=70)], _looking(eye, [0.0, 0.8, -9.0]), _sun(rng)
 
 
-def _fences(rng: Rng) -> tuple[Meshes, dict[str, Any], dict[str, Any]]:
+def _fences(rng: Rng) -> Made:
     made = []
     for i in range(int(rng.integers(2, 6))):
         at, turn = (_uniform(rng, -2, 2), 0, _uniform(rng, -2, 2)), _turn(rng)
@@ -192,7 +210,7 @@ def _fences(rng: Rng) -> tuple[Meshes, dict[str, Any], dict[str, Any]]:
     return [*made, _piece("plane", size=9.0)], _orbit(rng), _sun(rng)
 
 
-def _hills(rng: Rng) -> tuple[Meshes, dict[str, Any], dict[str, Any]]:
+def _hills(rng: Rng) -> Made:
     """Tops of spheres above a plane, with trees among them."""
     hills: Meshes = []
     for _ in range(int(rng.integers(2, 5))):
@@ -206,7 +224,7 @@ def _hills(rng: Rng) -> tuple[Meshes, dict[str, Any], dict[str, Any]]:
     return [*hills, *trees, _piece("plane", (0, 0, -40), size=300)], _looking(eye, [0.0, 1.5, -12.0]), _sun(rng)
 
 
-def _room(rng: Rng) -> tuple[Meshes, dict[str, Any], dict[str, Any]]:
+def _room(rng: Rng) -> Made:
     """Four walls, a floor and a ceiling, furniture, and a lamp below the ceiling."""
     wide, high, deep = _uniform(rng, 4, 8), _uniform(rng, 2.4, 3.5), _uniform(rng, 4, 9)
     shell = [
@@ -228,7 +246,7 @@ def _room(rng: Rng) -> tuple[Meshes, dict[str, Any], dict[str, Any]]:
     return [*shell, *chairs, *things], {**_looking(eye, [0.0, 0.7, -0.2 * deep]), "fov_y": 65}, light
 
 
-def _open(rng: Rng) -> tuple[Meshes, dict[str, Any], dict[str, Any]]:
+def _open(rng: Rng) -> Made:
     """Cards without thickness over the ground, some upright, some lying, and a ball."""
     cards: Meshes = []
     for _ in range(int(rng.integers(2, 6))):
@@ -240,7 +258,72 @@ def _open(rng: Rng) -> tuple[Meshes, dict[str, Any], dict[str, Any]]:
     return [*cards, ball, _piece("plane", size=5.0)], _orbit(rng), _sun_or_lamp(rng)
 
 
-KINDS: dict[str, Callable[[Rng], tuple[Meshes, dict[str, Any], dict[str, Any]]]] = {
+def _crowd(rng: Rng) -> Made:
+    """People on a wide ground, most of them near each other, with a house or two."""
+    people: Meshes = []
+    for _ in range(int(rng.integers(6, 14))):
+        people += _person(rng, *_spot_near(rng, 5.0))
+    houses = [
+        _piece("box", _spot_near(rng, 20.0, 12.0), _turn(rng), size=[_uniform(rng, 6, 10), _uniform(rng, 3, 8), 7.0])
+        for _ in range(int(rng.integers(1, 3)))
+    ]
+    ground = _piece("plane", size=round(_uniform(rng, 40, 160), 1))
+    return [*people, *houses, ground], _beside(rng, 5.0, 1.0), _sun(rng)
+
+
+def _person(rng: Rng, x: float, y: float, z: float) -> Meshes:
+    high, turn = _uniform(rng, 1.5, 1.9), _turn(rng)
+    wide = 0.25 * high
+    return [
+        _piece("box", (x, y, z), turn, size=[0.7 * wide, 0.5 * high, 0.11 * high]),
+        _piece("box", (x, y + 0.48 * high, z), turn, size=[wide, 0.36 * high, 0.13 * high]),
+        _piece("sphere", (x, y + 0.84 * high, z), radius=0.08 * high, subdivisions=2),
+    ]
+
+
+def _spot_near(rng: Rng, far: float, least: float = 0.0) -> tuple[float, float, float]:
+    """A place on the ground, up to `far` from the middle."""
+    turn, away = math.radians(_turn(rng)), _uniform(rng, least, far)
+    return away * math.sin(turn), 0.0, away * math.cos(turn)
+
+
+def _beside(rng: Rng, far: float, high: float) -> dict[str, Any]:
+    """A camera that looks at the middle, as high as eyes or as a balcony."""
+    away, turn = _uniform(rng, 1.2, 2.5) * far, math.radians(_turn(rng))
+    eye = [away * math.sin(turn), float(rng.choice([1.7, 4.0])) * max(high, 0.3), away * math.cos(turn)]
+    return {**_looking(eye, [0.0, 0.5 * high, 0.0]), "fov_y": 45}
+
+
+def _file(rng: Rng, files: Sequence[str], size: float, at: tuple[float, float, float]) -> dict[str, Any]:
+    """A mesh file that stands on the ground, `size` long."""
+    path = files[int(rng.integers(len(files)))]
+    return {
+        "path": path,
+        "size": 1.0,
+        "drop_to_ground": True,
+        "scale": size,
+        "translate": list(at),
+        "rotate": [0, round(_turn(rng), 3), 0],
+    }
+
+
+def _scan(rng: Rng, files: Sequence[str]) -> Made:
+    """A mesh file on a ground that is some times as wide."""
+    ground = _piece("plane", size=round(float(np.exp(rng.uniform(np.log(2.5), np.log(14)))), 2))
+    return [_file(rng, files, 1.0, (0.0, 0.0, 0.0)), ground], _orbit(rng), _sun_or_lamp(rng)
+
+
+def _yard(rng: Rng, files: Sequence[str]) -> Made:
+    """Mesh files on a wide ground, most of them near each other."""
+    things = [
+        _file(rng, files, round(_uniform(rng, 0.5, 3.0), 2), _spot_near(rng, 5.0))
+        for _ in range(int(rng.integers(3, 9)))
+    ]
+    ground = _piece("plane", size=round(_uniform(rng, 20, 120), 1))
+    return [*things, ground], _beside(rng, 5.0, 1.0), _sun(rng)
+
+
+KINDS: dict[str, Callable[[Rng], Made]] = {
     "object": _single,
     "group": _group,
     "street": _street,
@@ -249,5 +332,10 @@ KINDS: dict[str, Callable[[Rng], tuple[Meshes, dict[str, Any], dict[str, Any]]]]
     "hills": _hills,
     "room": _room,
     "open": _open,
+    "crowd": _crowd,
 }
 """What makes the meshes, the camera and the light of each kind of scene."""
+OF_FILES: dict[str, Callable[[Rng, Sequence[str]], Made]] = {"scan": _scan, "yard": _yard}
+"""The kinds that need mesh files."""
+WIDE = ("crowd", "yard")
+"""The kinds with a wide ground, whose maps may be smaller."""

@@ -14,12 +14,15 @@ from jax import lax
 from scipy import ndimage
 
 from diffshadow import fit, raster, reference, shadow
+from diffshadow.config.framing._texels import texels_across
 from diffshadow.settings.engines import POLYGON_OFFSETS
 
-CONSTANT = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.5, 7.0, 10.0, 15.0)
-SLOPE = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 5.0)
-OFFSET = (0.0, 0.5, 1.0, 2.0, 3.5)
+CONSTANT = (0.0, 1.0, 2.0, 3.0, 4.5, 7.0, 10.0, 15.0)
+SLOPE = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0)
+OFFSET = (0.0, 0.5, 1.0, 2.0)
 """The biases that are tried, in texels: all combinations."""
+LITTLE_CONSTANT, LITTLE_SLOPE = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0), (0.0, 0.5, 1.0, 2.0, 3.0)
+"""The biases of filters that take no compares one by one."""
 
 PLANE = ", with a receiver plane"
 """What the names of filters end with that have a bias from the receiver's plane."""
@@ -52,6 +55,14 @@ FILTERS: dict[str, Filtered] = {
     "random_disk, radius 8": Filtered(shadow.RandomDisk(8.0, shadow.vogel(TAPS)), 8.5),
 }
 """Taps of a disk are bilinear, and reach half a texel further."""
+LITTLE: dict[str, Filtered] = {
+    "vsm, radius 2.5": Filtered(shadow.VarianceShadowMap(2.5), 3.0),
+    "esm, radius 2.5": Filtered(shadow.ExponentialShadowMap(2.5), 3.0),
+    "evsm, radius 2.5": Filtered(shadow.ExponentialVarianceShadowMap(2.5), 3.0),
+    "msm, radius 2.5": Filtered(shadow.MomentShadowMap(2.5), 3.0),
+    "pcss": Filtered(shadow.PercentageCloserSoft(search=shadow.vogel(TAPS), pattern=shadow.vogel(TAPS)), 2.5),
+}
+"""Filters that take no compares one by one, or whose width depends on the scene."""
 WITH_PLANE = ("pcf, radius 2.5", "random_disk, radius 4", "random_disk, radius 8")
 """The filters that are also measured with the bias from the receiver's plane."""
 
@@ -154,7 +165,7 @@ class Seen(eqx.Module):
     dark: jax.Array
 
 
-def measure(settings: Any) -> dict[str, np.ndarray]:
+def measure(settings: Any, *, with_engines: bool = True) -> dict[str, np.ndarray]:
     """Errors of all biases in one scene, by names of filters and engines.
 
     **Returns** arrays (biases, 3) of the root mean square error, the share of the light that is wrongly missing (acne)
@@ -174,7 +185,10 @@ def measure(settings: Any) -> dict[str, np.ndarray]:
         if name in WITH_PLANE:
             technique = _technique(chosen, plane=True)
             found[name + PLANE] = grid_errors(technique, grid_of(name + PLANE), shadow_map, case.surface, seen)
-    for name, shipped in ENGINES.items():
+    for name, (chosen, reach) in LITTLE.items():
+        seen = seen_by(case.truth, covered, reach * pixels)
+        found[name] = grid_errors(_technique(chosen), grid_of(name), shadow_map, case.surface, seen)
+    for name, shipped in (ENGINES if with_engines else {}).items():
         found |= _of_engine(name, shipped, case, shadow_map, at, covered, pixels)
     found["scene"] = _described(case, at, covered, pixels)
     return {name: np.asarray(values, np.float32) for name, values in found.items()}
@@ -191,6 +205,8 @@ def plain_map(case: common.Case) -> tuple[shadow.ShadowMapping, shadow.ShadowMap
 
 def grid_of(name: str) -> np.ndarray:
     """The biases that are tried, (n, 3): constant, slope and normal offset."""
+    if name in LITTLE:
+        return np.array([(c, s, 0.0) for c in LITTLE_CONSTANT for s in LITTLE_SLOPE], np.float32)
     slopes: Sequence[float] = (0.0,) if name.endswith(PLANE) or name in ENGINES else SLOPE
     has_offset = not name.endswith(PLANE) and (name not in ENGINES or ENGINES[name].has_offset)
     offsets: Sequence[float] = OFFSET if has_offset else (0.0,)
@@ -326,9 +342,11 @@ def units_of(shipped: Shipped, case: common.Case, at: shadow.Receiver) -> tuple[
 
 # --- What a scene is like ---
 
-DESCRIBED = ("texels", "pixels_per_texel", "steepness", "elevation", "lit", "perspective")
+DESCRIBED = ("texels", "pixels_per_texel", "steepness", "elevation", "lit", "perspective", "across", "thin")
 """A map's side; how long a texel is on the screen; the median slope of receivers against the light; the light's height
-in degrees; the share of pixels that are lit; whether the light has a position."""
+in degrees; the share of pixels that are lit; whether the light has a position; how many texels a typical caster has
+across; the share of casters with less than ten."""
+FEW = 10.0
 
 
 def _described(case: common.Case, at: shadow.Receiver, covered: np.ndarray, pixels: float) -> np.ndarray:
@@ -338,4 +356,6 @@ def _described(case: common.Case, at: shadow.Receiver, covered: np.ndarray, pixe
     elevation = float(getattr(case.settings.scene.light, "elevation", None) or 90.0)
     texels, lit = case.settings.shadow_map.resolution[0], float(np.mean(image[covered] > 0.5))
     perspective = 0.0 if case.scene.light.is_directional else 1.0
-    return np.array([texels, pixels, steepness, elevation, lit, perspective])
+    each = texels_across(case.settings)
+    across, thin = (float(np.median(each)), float(np.mean(each < FEW))) if len(each) else (1e6, 0.0)
+    return np.array([texels, pixels, steepness, elevation, lit, perspective, across, thin])

@@ -7,22 +7,25 @@ from typing import Any
 import _collection as collection
 import _common as common
 import _rule_errors as errors
+import _rules as rules
 import numpy as np
 from matplotlib.figure import Figure
 
+from diffshadow import shadow
 from diffshadow.config import parse_config
 from diffshadow.study import style
 
+_SHOWN, _WORST = "bilinear", 3
 # Colours of the same meaning in both panels.
 _NONE, _RULE, _FITTED, _OWN = (common.COLOURS[i] for i in (1, 0, 2, 3))
 
 
-def of_collection(seed: int, pixels: int, described: np.ndarray) -> Figure:
+def of_collection(drawn: collection.Collection, pixels: int, described: np.ndarray) -> Figure:
     """A scene of each kind, as rays see its shadows, and how what rules may depend on is spread over all scenes."""
-    kinds = list(collection.KINDS)
+    kinds = drawn.kinds
     made, panels = common.figure(1.6 * len(kinds), 4.6, 2, len(kinds))
     for i, (panel, kind) in enumerate(zip(panels[: len(kinds)], kinds, strict=True)):
-        case = common.draw(parse_config(json.dumps(collection.scene(seed, i, pixels)), source=kind))
+        case = common.draw(parse_config(json.dumps(drawn.scene(i, pixels)), source=kind))
         image = np.where(case.truth.mask, 0.15 + 0.85 * np.asarray(case.truth.visibility), 0.6)
         panel.imshow(image, cmap="gray", vmin=0, vmax=1, origin="lower")
         common.chart(panel, kind, "", "", grid=False)
@@ -67,6 +70,10 @@ def of_rules(result: Mapping[str, Any]) -> Figure:
     }
     _dots(panels[0], "Price of a rule, by filter", "mean error over the best bias for each scene", rows, "price")
     _dots(panels[1], "Scenes with acne, by filter", "share of the scenes", rows, "acne")
+    if "engines" not in result:
+        panels[2].set_axis_off()
+        common.legend(panels[1])
+        return made
     engines = result["engines"]
     rows = {
         "shipped": (_NONE, {name: found["shipped"] for name, found in engines.items()}),
@@ -77,6 +84,35 @@ def of_rules(result: Mapping[str, Any]) -> Figure:
     # The first two have the same colours.
     for panel in panels[1:]:
         common.legend(panel)
+    return made
+
+
+def of_worst(drawn: collection.Collection, result: Mapping[str, Any], measured: rules.Measured) -> Figure:
+    """The three scenes in which the rule for a filter costs most: their shadows as rays see them, with the rule, and
+    with the best bias."""
+    capped = measured.capped(_SHOWN, np.array(result["rules"][_SHOWN]["bias"]))
+    price = errors.ratio(measured.at(_SHOWN, capped)[:, 0], measured.best(_SHOWN))
+    made, panels = common.figure(7.2, 7.8, _WORST, 3)
+    for row, index in enumerate(np.argsort(-price, kind="stable")[:_WORST]):
+        case = common.draw(parse_config(json.dumps(drawn.scene(int(index), 2 * result["pixels"]))))
+        _, shadow_map, covered = errors.plain_map(case)
+        of_scene = measured.errors[_SHOWN][index][..., 0].ravel()
+        biases = (capped[index], errors.grid_of(_SHOWN)[of_scene.argmin()])
+        pictures = [np.asarray(case.truth.visibility)]
+        for constant, slope, offset in biases:
+            technique = shadow.ShadowMapping(errors.FILTERS[_SHOWN].filter, shadow.Bias(constant, slope, offset))
+            pictures.append(np.asarray(technique.visibility(shadow_map, case.surface)))
+        says = lambda bias: ", ".join(f"{x:.2g}" for x in bias)
+        titles = (
+            f"{drawn.kind(int(index))}, {case.settings.shadow_map.resolution[0]}²: rays",
+            f"rule {says(biases[0])}: price {price[index]:.2f}",
+            f"best {says(biases[1])}",
+        )
+        for panel, picture, title in zip(panels[3 * row : 3 * row + 3], pictures, titles, strict=True):
+            panel.imshow(np.where(covered, 0.15 + 0.85 * picture, 0.6), cmap="gray", vmin=0, vmax=1, origin="lower")
+            common.chart(panel, title, "", "", grid=False)
+            panel.set_xticks([])
+            panel.set_yticks([])
     return made
 
 

@@ -10,8 +10,8 @@ import _rule_errors as errors
 
 from diffshadow.settings.engines import ENGINES
 
-FORMULA = "c, s r"
-"""The formula that the package uses for all filters."""
+FORMULA = "c + d r, s + t r"
+"""The formula that the package uses for all filters that have no rule."""
 _STARTS = "random_disk, radius 2"
 # The families of the page's comparison, as it names them.
 _FAMILIES = {
@@ -20,6 +20,7 @@ _FAMILIES = {
     "constant + normal offset": "constant, offset",
     "all three": "all three",
 }
+_PARTS = {"none": "anything", "1": "a caster's width", "0.5": "1/2 of it", "0.25": "1/4 of it"}
 # How the page writes what an engine ships.
 _SETTINGS = {
     "three.js": "`bias` {:g}, `normalBias` {:g}",
@@ -31,18 +32,22 @@ _SETTINGS = {
 }
 
 
-def packaged(result: Mapping[str, Any]) -> dict[str, Any]:
-    """The rules as `diffshadow.settings.rules` reads them."""
+def packaged(result: Mapping[str, Any], before: Mapping[str, Any]) -> dict[str, Any]:
+    """The rules as `diffshadow.settings.rules` reads them; those of parts that were not measured are as `before`."""
     formula = result["formulas"][FORMULA]
-    by_filter = {name: _rule_of(found) for name, found in result["filters"].items()}
-    return {
+    made = {
         "scenes": result["scenes"],
-        "tested": _tested(result),
+        "kinds": result["kinds"],
+        "casters": {"part": result["casters"]["part"]},
         "reach": max(each.reach for each in errors.FILTERS.values()),
         "formula": {"numbers": formula["numbers"], "worth": _worth(formula)},
         "plane": {"number": result["plane"]["numbers"][0], "worth": _worth(result["plane"])},
-        "filters": {name: {"bias": rule["bias"], "worth": _worth(rule["tested"])} for name, rule in by_filter.items()},
+        "filters": {name: _packaged_rule(rule) for name, rule in result["rules"].items()},
         "starts": {name: rule["bias"] for name, rule in result["filters"][_STARTS]["rules"].items()},
+    }
+    if "engines" not in result:
+        return {**made, "engines": before["engines"]}
+    return made | {
         "engines": {
             name: {
                 "bias": [found["bias"][0], found["bias"][2]],
@@ -54,14 +59,9 @@ def packaged(result: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _tested(result: Mapping[str, Any]) -> int:
-    """How many scenes rules were tested on."""
-    return max(found["none"]["scenes"] for found in result["filters"].values())
-
-
-def _rule_of(found: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The rule of a filter: with all biases that were tried."""
-    return list(found["rules"].values())[-1]
+def _packaged_rule(rule: Mapping[str, Any]) -> dict[str, Any]:
+    maps = {side: round(price, 4) for side, price in rule["maps"].items()}
+    return {"bias": rule["bias"], "worth": _worth(rule["tested"]), "own": _worth(rule["searched"]), "maps": maps}
 
 
 def _worth(found: Mapping[str, float]) -> list[float]:
@@ -71,46 +71,68 @@ def _worth(found: Mapping[str, float]) -> list[float]:
 def tables(result: Mapping[str, Any]) -> dict[str, str]:
     """The tables of the page, in Markdown, by name."""
     worth = ("price", "acne", "leaks")
-    in_engines = result.get("in_engines", {})
     biases = ("none", *_FAMILIES.values(), "the formula", "best for each scene")
-    layouts, taps = result["layouts"], result["taps"]
-    compared, counts = list(next(iter(layouts.values()))), next(iter(taps.values()))
-    pair = lambda of: f"{of['wins']:.0%}, {of['ratio']:.2f}"
+    rules, caps = result["rules"], result["casters"]["caps"]
+    maps, kinds = ([*next(iter(rules.values()))[key]] for key in ("maps", "kinds"))
+    by_kind = _means(rules, "kinds")
     made = {
-        "filters": _table(("filter", "constant", "slope", "normal offset", *worth), _filter_rows(result)),
+        "filters": _table(("filter", "constant", "slope", "normal offset", *worth, "own price"), _filter_rows(result)),
+        "maps": _table(
+            ("filter", *(f"{side}²" for side in maps)),
+            [(name, *(f"{rule['maps'][side]:.2f}" for side in maps)) for name, rule in rules.items()],
+        ),
+        "kinds": _table(kinds, [[f"{by_kind[kind]:.2f}" for kind in kinds]]),
+        "caps": _table(
+            ("constant at most", "price", "where casters are thin", "acne"),
+            [(_PARTS[part], f"{price:.3f}", f"{few:.3f}", f"{acne:.1%}") for part, (price, few, acne) in caps.items()],
+        ),
         "biases": _table(("filter", *biases), _bias_rows(result)),
         "formulas": _table(
             ("formula", "numbers", *worth),
             [(label, _numbers(found["numbers"]), *_cells(found)) for label, found in result["formulas"].items()],
         ),
-        "engines": _table(("engine", "ships", *worth, "rule, texels", "offset, texels", *worth), _engine_rows(result)),
-        "layouts": _table(
+    }
+    if "engines" in result:
+        head = ("engine", "ships", *worth, "rule, texels", "offset, texels", *worth)
+        made["engines"] = _table(head, _engine_rows(result))
+    if "layouts" in result:
+        layouts = result["layouts"]
+        compared = list(next(iter(layouts.values())))
+        pair = lambda of: f"{of['wins']:.0%}, {of['ratio']:.2f}"
+        made["layouts"] = _table(
             ("texels", "scenes", *compared),
             [(label.replace(", ", "² | "), *(pair(of[name]) for name in compared)) for label, of in layouts.items()],
-        ),
-        "taps": _table(
-            ("pattern", *(f"{count} taps" for count in counts)),
+        )
+    if "taps" in result:
+        taps = result["taps"]
+        made["taps"] = _table(
+            ("pattern", *(f"{count} taps" for count in next(iter(taps.values())))),
             [(name, *(f"{error:.3f}, {noise:.4f}" for error, noise in of.values())) for name, of in taps.items()],
-        ),
-    }
-    if in_engines:
+        )
+    if "in_engines" in result:
         made["in engines"] = _table(
             engines.HEAD,
             [
                 (ENGINES[name], state, *engines.cells_of(of[state]))
-                for name, of in in_engines.items()
+                for name, of in result["in_engines"].items()
                 for state in engines.STATES
             ],
         )
     return made
 
 
+def _means(rules: Mapping[str, Any], key: str) -> dict[str, float]:
+    """The mean price over the filters that compare taps one by one, by `key`."""
+    found = [rules[name][key] for name in errors.FILTERS]
+    return {name: sum(each[name] for each in found) / len(found) for name in found[0]}
+
+
 def _filter_rows(result: Mapping[str, Any]) -> Iterator[Sequence[str]]:
-    for name, found in result["filters"].items():
-        rule = _rule_of(found)
+    for name, rule in result["rules"].items():
         low, high = rule["tested"]["intervals"]["price"]
         price, *shares = _cells(rule["tested"])
-        yield name, *(f"{x:.3g}" for x in rule["bias"]), f"{price} ± {(high - low) / 2:.2f}", *shares
+        numbers = (f"{x:.3g}" for x in rule["bias"])
+        yield name, *numbers, f"{price} ± {(high - low) / 2:.2f}", *shares, f"{rule['searched']['price']:.2f}"
 
 
 def _bias_rows(result: Mapping[str, Any]) -> Iterator[Sequence[str]]:

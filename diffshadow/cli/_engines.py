@@ -5,6 +5,7 @@ from pathlib import Path
 from ..config import load_config, settings_file
 from ..console import Console
 from ..settings.engines import EngineName, ImportedTechnique, ShadowType, ThreeJs
+from ..settings.scene import LightKind
 from ..settings.techniques import ShaderLanguage
 from ._app import app, print_notes, print_path
 from ._jax import start_jax
@@ -81,12 +82,18 @@ def defaults(
     map: int | None = None,
     window: float | None = None,
     depth: float | None = None,
+    light: LightKind = "directional",
+    angle: float | None = None,
+    near: float | None = None,
+    distance: float | None = None,
 ) -> None:
     """Prints rules of thumb: biases that hold over many scenes, and what they cost against a fit.
 
     Example: `diffshadow defaults --filter random_disk --radius 3`
 
     Example: `diffshadow defaults --engine godot --map 2048 --window 40 --depth 100`
+
+    Example: `diffshadow defaults --engine unity --light spot --map 1024 --angle 30 --near 0.5 --depth 20 --distance 6`
 
     Parameters
     ----------
@@ -95,19 +102,26 @@ def defaults(
     radius
         Its radius in texels.
     engine
-        Engine whose settings are printed, for its default filter and a directional light.
+        Engine whose settings are printed, for its default filter.
     map
         Texels along a side of the engine's map.
     window
-        How wide the light's shadow camera is, in world units.
+        How wide a directional light's shadow camera is, in world units.
     depth
         Its far plane less its near plane, in world units.
+    light
+        Kind of the engine's light.
+    angle
+        Half the angle of a spot light's cone, in degrees.
+    near
+        Near plane of a spot or point light, in world units.
+    distance
+        Distance from a spot or point light at which the settings hold, in world units.
     """
     from .. import study
 
-    study.print_defaults(
-        console=Console(), filter=filter, radius=radius, engine=engine, size=map, window=window, depth=depth
-    )
+    of_map = study.LightOptions(light, map, window, depth, angle, near, distance)
+    study.print_defaults(console=Console(), filter=filter, radius=radius, engine=engine, of_map=of_map)
 
 
 @app.command(name="import")

@@ -1,10 +1,12 @@
 """Rules of thumb: biases that hold over many scenes.
 
-`experiments/rules_of_thumb.py` searched for them in one half of a collection of scenes, tested them on the other, and
-wrote them to `rules.json`. docs/rules_of_thumb.md says how, and what they are worth.
+`experiments/rules_of_thumb.py` searched for them in a collection of scenes, tested them on kinds of scenes that they
+were not searched for in, and wrote them to `rules.json`. docs/rules_of_thumb.md says how, and what they are worth.
 """
 
 import json
+import math
+from collections.abc import Mapping
 from importlib import resources
 from itertools import pairwise
 from types import SimpleNamespace
@@ -15,7 +17,7 @@ from .engines import EngineName
 
 
 class Worth(NamedTuple):
-    """What a bias is worth over the scenes that rules were tested on.
+    """What a bias is worth over some scenes.
 
     - `price`: the mean of its error over that of the best bias for each scene.
     - `acne`, `leaks`: the shares of scenes where more than a thousandth of the light is wrongly missing, or there.
@@ -35,10 +37,16 @@ class Numbers(NamedTuple):
 
 
 class Rule(NamedTuple):
-    """A bias for any scene."""
+    """A bias for any scene.
+
+    - `own`: what it is worth in the scenes that it was searched for in; `worth`: what rules are worth in scenes of a
+      kind that they were not searched for in, and `maps`: their price there by the side of the map in texels.
+    """
 
     bias: Numbers
     worth: Worth
+    own: Worth
+    maps: Mapping[str, float]
 
 
 class EngineRule(NamedTuple):
@@ -57,21 +65,27 @@ class EngineRule(NamedTuple):
 
 _FOUND = json.loads(resources.files(__package__).joinpath("rules.json").read_text(encoding="utf-8"))
 
-SCENES: int = _FOUND["tested"]
-"""The scenes that rules were tested on, other ones than rules were searched for in."""
-SEARCHED: int = _FOUND["scenes"] - SCENES
+SCENES: int = _FOUND["scenes"]
 """The scenes that rules were searched for in."""
+KINDS: int = _FOUND["kinds"]
+"""The kinds of these scenes. Rules were tested on each kind without it."""
 MAX_REACH: float = _FOUND["reach"]
 """The widest kernel that was measured: texels from its middle to its rim."""
-CONSTANT, SLOPE_PER_TEXEL = map(float, _FOUND["formula"]["numbers"])
-"""Of a bias for any filter, in texels. The slope bias grows with the filter's reach."""
+PART: float = _FOUND["casters"]["part"]
+"""The constant bias of a rule is at most this part of a typical caster's width, or of the kernel's if that is wider: a
+longer one takes shadows away."""
+CONSTANT, CONSTANT_PER_TEXEL, SLOPE, SLOPE_PER_TEXEL = map(float, _FOUND["formula"]["numbers"])
+"""Of a bias for any filter, in texels: for no reach, and for each texel of it."""
 FORMULA_WORTH = Worth(*_FOUND["formula"]["worth"])
 """Means over the filters that were measured."""
 PLANE_CONSTANT: float = _FOUND["plane"]["number"]
 """The constant bias beside one from the receiver's plane, in texels: for no reach, and for each texel of it."""
 PLANE_WORTH = Worth(*_FOUND["plane"]["worth"])
 """Means over the filters that were measured with such a bias."""
-FILTER_RULES = {name: Rule(Numbers(*of["bias"]), Worth(*of["worth"])) for name, of in _FOUND["filters"].items()}
+FILTER_RULES = {
+    name: Rule(Numbers(*of["bias"]), Worth(*of["worth"]), Worth(*of["own"]), of["maps"])
+    for name, of in _FOUND["filters"].items()
+}
 """By filter. Those with a receiver plane have a constant bias beside it."""
 STARTS = {name: Numbers(*bias) for name, bias in _FOUND["starts"].items()}
 """By which numbers are not 0: the rule for a disk with a radius of 2 texels."""
@@ -89,7 +103,17 @@ MEASURED = (
     filters.Castano,
     filters.RandomDisk,
 )
-"""Filters that have a rule, or the formula: their taps are compared one by one, as far as a known reach."""
+"""Filters that have a rule of their own, or that of a box: their taps are compared one by one, as far as a known
+reach."""
+RULED = (
+    *MEASURED,
+    filters.VarianceShadowMap,
+    filters.ExponentialShadowMap,
+    filters.ExponentialVarianceShadowMap,
+    filters.MomentShadowMap,
+    filters.PercentageCloserSoft,
+)
+"""All filters that have a rule. Those that compare no taps one by one have the same for all radii."""
 _NONE, _OTHERS = Numbers(0.0, 0.0, 0.0), Numbers(0.5, 0.5, 0.0)
 # Of a texel. Nobody types more.
 _DIGITS = 2
@@ -105,14 +129,15 @@ class Measured(NamedTuple):
 
 def _measured() -> dict[type[filters.Filter], list[Measured]]:
     """What was measured without a receiver plane, by kind of filter and ascending reach."""
-    kinds, found = {each.type: each for each in MEASURED}, {}
+    kinds, found = {each.type: each for each in RULED}, {}
     for name, rule in FILTER_RULES.items():
         label, *sizes = name.split(", ")
         if sizes[1:]:
             continue
         kind = kinds[label]
         radius = {"radius": float(sizes[0].removeprefix("radius "))} if sizes else {}
-        found.setdefault(kind, []).append(Measured(name, kind.reach_of(SimpleNamespace(**radius)), rule))
+        reach = kind.reach_of(SimpleNamespace(**radius)) if kind in MEASURED else 0.0
+        found.setdefault(kind, []).append(Measured(name, reach, rule))
     # Narrow boxes and disks are a bilinear compare.
     for kind in (filters.PercentageCloser, filters.RandomDisk):
         found[kind] = found[filters.Bilinear] + found[kind]
@@ -123,24 +148,33 @@ _BY_KIND = _measured()
 
 
 def measured_of(kind: type[Any]) -> list[Measured]:
-    """What was measured of a kind of filter, by ascending reach; empty if nothing was."""
-    return next((found for each, found in _BY_KIND.items() if issubclass(kind, each)), [])
+    """What was measured of a kind of filter, or of boxes for one whose taps are compared one by one, by ascending
+    reach; empty if nothing was."""
+    others = _BY_KIND[filters.PercentageCloser] if issubclass(kind, MEASURED) else []
+    return next((found for each, found in _BY_KIND.items() if issubclass(kind, each)), others)
 
 
-def bias_of(kind: type[Any], reach: float, *, plane: bool = False) -> Numbers:
+def bias_of(kind: type[Any], reach: float, *, plane: bool = False, across: float = math.inf) -> Numbers:
     """The bias for a kind of filter that reads the map as far as `reach` texels from the receiver, beside a bias from
-    the receiver's plane if there is a `plane`. Filters that take no compares one by one have little or none.
+    the receiver's plane if there is a `plane`. Beside a plane, filters that take no compares one by one have none.
 
-    It is the filter's own rule where one was measured, else the formula for any filter. Between two reaches that were
-    measured, it is interpolated. Beyond the widest, the slope bias grows as in the formula.
+    It is the filter's own rule where one was measured, else that of a box with the same reach. Between two reaches that
+    were measured, it is interpolated. Beyond the widest, the slope bias grows as in the formula for any filter.
+
+    **Arguments:** `across`: how many texels a typical caster has across, if it is known: the constant is at most
+    `PART` of that, or of the kernel's width.
     """
-    if not issubclass(kind, MEASURED):
-        return _NONE if plane else _OTHERS
+    bias = _bias_of(kind, reach, plane=plane)
+    return bias._replace(constant=min(bias.constant, round(PART * max(across, 2 * reach), _DIGITS)))
+
+
+def _bias_of(kind: type[Any], reach: float, *, plane: bool) -> Numbers:
+    """`bias_of` for casters of any width."""
+    is_measured, own = issubclass(kind, MEASURED), measured_of(kind)
     if plane:
-        return Numbers(plane_constant_for(reach), 0.0, 0.0)
-    own = measured_of(kind)
-    if not own:
-        return formula_for(reach)
+        return Numbers(plane_constant_for(reach), 0.0, 0.0) if is_measured else _NONE
+    if not is_measured:
+        return own[0].rule.bias if own else _OTHERS
     constant, slope, offset = _interpolated(own, reach)
     slope += SLOPE_PER_TEXEL * max(reach - own[-1].reach, 0.0)
     return Numbers(round(constant, _DIGITS), round(slope, _DIGITS), round(offset, _DIGITS))
@@ -155,11 +189,6 @@ def _interpolated(own: list[Measured], reach: float) -> Numbers:
             part = (reach - low.reach) / (high.reach - low.reach)
             return Numbers(*(a + part * (b - a) for a, b in zip(low.rule.bias, high.rule.bias, strict=True)))
     return own[-1].rule.bias
-
-
-def formula_for(reach: float) -> Numbers:
-    """The bias by the formula for any filter, which reads the map as far as `reach` texels from the receiver."""
-    return Numbers(CONSTANT, round(SLOPE_PER_TEXEL * reach, _DIGITS), 0.0)
 
 
 def plane_constant_for(reach: float) -> float:

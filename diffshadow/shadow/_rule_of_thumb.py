@@ -1,5 +1,7 @@
 """The bias that holds over many scenes with a filter."""
 
+import math
+
 import numpy as np
 
 from .._arithmetic import concrete
@@ -8,7 +10,7 @@ from .biases import AbstractBias, Bias, ReceiverPlane
 from .filters import AbstractFilter
 
 
-def bias_for(filter: AbstractFilter, plane: AbstractBias | None = None) -> Bias:
+def bias_for(filter: AbstractFilter, plane: AbstractBias | None = None, *, across: float = math.inf) -> Bias:
     """The bias that holds over many scenes with a filter: what a configuration has that gives none.
 
     It is a rule of thumb, measured over a collection of scenes: a constant bias, a slope bias and, under wide filters,
@@ -26,9 +28,11 @@ def bias_for(filter: AbstractFilter, plane: AbstractBias | None = None) -> Bias:
         ```python
         filter = shadow.RandomDisk(3.0)
         bias = shadow.bias_for(filter)
-        f"{bias.constant.value:.1f} and {bias.slope.value:.1f} texels"  # 6.5 and 1.0 texels
+        f"{bias.constant.value:.1f} and {bias.slope.value:.1f} texels"  # 2.5 and 2.2 texels
         ```
     """
+    if not across > 0:
+        raise ValueError(f"across is {across:g}; expected more than 0 texels, or leave it out")
     if plane is not None and not _is_measured(plane):
         return Bias(plane=plane)
     reach = filter.reach
@@ -37,7 +41,8 @@ def bias_for(filter: AbstractFilter, plane: AbstractBias | None = None) -> Bias:
             "bias_for was called inside jax.jit (or grad, or vmap) for a filter whose radius is traced; expected a "
             "radius that is known: make the bias outside"
         )
-    return Bias(*rules.bias_of(filter.settings, reach or 0.0, plane=plane is not None), plane=plane)
+    numbers = rules.bias_of(filter.settings, reach or 0.0, plane=plane is not None, across=across)
+    return Bias(*numbers, plane=plane)
 
 
 def _is_measured(plane: AbstractBias) -> bool:

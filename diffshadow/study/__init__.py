@@ -42,6 +42,7 @@ __all__ = [
 if TYPE_CHECKING:
     from .advice._advise import print_advise_plan as print_advise_plan
     from .advice._advise import run_advise
+    from .advice._defaults import LightOptions as LightOptions
     from .advice._defaults import print_defaults
     from .advice._engines import engine_advice
     from .pages._colours import difference_colours as difference_colours
@@ -60,7 +61,7 @@ _ON_USE = {
     "print_advise_plan": ".advice._advise",
     "run_advise": ".advice._advise",
     "engine_advice": ".advice._engines",
-    "print_defaults": ".advice._defaults",
+    **dict.fromkeys(("LightOptions", "print_defaults"), ".advice._defaults"),
 }
 
 

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from hypothesis import example, given, settings
@@ -1020,29 +1021,33 @@ def test_a_bias_that_knows_the_plane_needs_little_else_by_default():
     assert parse_config(TINY + "bias: {slope: 2, plane: {type: adaptive}}").bias.slope == 2
 
 
+def rule(name):
+    return np.array(rules.FILTER_RULES[name].bias)
+
+
 @pytest.mark.parametrize(
     ("section", "expected"),
     [
-        ("{}", (3, 1, 0.5)),
-        ("{type: nearest}", (2, 0.5, 0)),
-        ("{type: bilinear}", (3, 0.5, 0)),
-        ("{type: pcf, radius: 1.5}", (4.5, 1, 0)),
-        ("{type: pcf}", (7, 1, 0.5)),
-        ("{radius: 4}", (10, 1, 1)),
+        ("{}", rule("random_disk, radius 2")),
+        ("{type: nearest}", rule("nearest")),
+        ("{type: bilinear}", rule("bilinear")),
+        ("{type: pcf, radius: 1.5}", rule("pcf, radius 1.5")),
+        ("{type: pcf}", rule("pcf, radius 2.5")),
+        ("{radius: 4}", rule("random_disk, radius 4")),
         # Between what was measured, narrower and wider.
-        ("{radius: 3}", (6.5, 1, 0.75)),
-        ("{type: pcf, radius: 1}", (3.75, 0.75, 0)),
-        ("{type: pcf, radius: 0}", (3, 0.5, 0)),
-        ("{type: pcf, radius: 4}", (7, 1.9, 0.5)),
+        ("{radius: 3}", (rule("random_disk, radius 2") + rule("random_disk, radius 4")) / 2),
+        ("{type: pcf, radius: 1}", (rule("bilinear") + rule("pcf, radius 1.5")) / 2),
+        ("{type: pcf, radius: 0}", rule("bilinear")),
+        ("{type: pcf, radius: 4}", rule("pcf, radius 2.5") + np.array([0, 1.5 * rules.SLOPE_PER_TEXEL, 0])),
         # Not measured.
-        ("{type: castano, size: 7}", (8.9, 2.4, 0)),
-        ("{type: tent, radius: 2}", (8.9, 1.2, 0)),
+        ("{type: tent, radius: 2.5}", rule("pcf, radius 2.5")),
+        ("{type: tent, radius: 2}", (rule("pcf, radius 1.5") + rule("pcf, radius 2.5")) / 2),
     ],
 )
 def test_without_a_bias_there_is_the_one_that_holds_over_many_scenes(section, expected):
     text = f"{TINY}filter: {section}\n"
     bias = parse_config(text).bias
-    assert (bias.constant, bias.slope, bias.normal_offset) == pytest.approx(expected)
+    assert (bias.constant, bias.slope, bias.normal_offset) == pytest.approx(tuple(expected), abs=0.006)
     own = parse_config(f"{text}bias: {{constant: 1}}").bias
     assert (own.slope, own.normal_offset) == (bias.slope, bias.normal_offset)
     # To a constant and a slope of one's own, no normal offset is added.
@@ -1061,13 +1066,49 @@ def test_without_a_bias_there_is_the_one_that_holds_over_many_scenes(section, ex
         assert (given.slope, given.normal_offset) == (0, 0)
     fitted = "fit: {parameters: {bias.constant: {lower: 0, upper: 2}, bias.slope: {lower: 4, upper: 9}}}"
     bias = parse_config(text + fitted).bias
-    assert (bias.constant, bias.slope) == (2, 4)
+    assert (bias.constant, bias.slope) == (min(2, expected[0]), max(4, expected[1]))
     assert parse_config(dump_resolved(parse_config(text))) == parse_config(text)
 
 
-def test_filters_without_a_rule_have_little_bias():
-    assert parse_config(TINY + "filter: {type: vsm}").bias.constant == 0.5
+def test_filters_that_compare_no_taps_have_a_rule_for_all_radii():
+    expected = tuple(rule("vsm, radius 2.5"))
+    for radius in (2.5, 6):
+        bias = parse_config(TINY + f"filter: {{type: vsm, radius: {radius}}}").bias
+        assert (bias.constant, bias.slope, bias.normal_offset) == expected
     assert parse_config(TINY + "filter: {type: vsm}\nbias: {plane: {type: receiver_plane}}").bias.constant == 0
+    # Not measured.
+    assert parse_config(TINY + "filter: {type: separable}").bias.constant == 0.5
+
+
+CASTER = "{path: 'builtin:box', options: {size: [3, 1, 2]}}"
+WIDE = "{path: 'builtin:plane', options: {size: 40}}"
+
+
+@pytest.mark.parametrize(
+    ("light", "width"),
+    [
+        # The ground from above; half of it, as of what casts alone; a window; cones; a face with its guard.
+        ("{elevation: 90}", 40),
+        ("{elevation: 90, frame: casters}", np.sqrt(6)),
+        ("{elevation: 90, shadow_camera: {position: [0, 9, 0], left: -3, right: 1, bottom: -2, top: 7}}", 6),
+        ("{type: spot, position: [0, 10.5, 0], target: [0, 0, 0], outer_angle: 45}", 20),
+        ("{type: point, position: [0, 10.5, 0], guard: 0.5}", 30),
+    ],
+)
+def test_a_constant_bias_by_default_is_a_part_of_a_casters_width(light, width):
+    casts = ", casts: false}" if "casters" in light else "}"
+    text = f"scene: {{meshes: [{CASTER}, {WIDE[:-1]}{casts}], light: {light}}}\nfilter: {{type: nearest}}\n"
+    least = rule("nearest")[0]
+    for side in (32, 64, 2048):
+        bias = parse_config(f"{text}shadow_map: {{resolution: [{side}, {side}]}}").bias
+        assert bias.constant == pytest.approx(min(least, rules.PART * 2 * side / width), rel=0.02, abs=0.006)
+        assert bias.slope == pytest.approx(rule("nearest")[1], abs=0.006)
+    # What is given stays, and so does a rule where the camera lays out the map.
+    few = f"{text}shadow_map: {{resolution: [32, 32]}}\n"
+    assert parse_config(f"{few}bias: {{constant: 7}}").bias.constant == 7
+    if "type" not in light and "shadow_camera" not in light and "frame" not in light:
+        assert parse_config(f"{few}technique: {{type: cascades}}").bias.constant == pytest.approx(least, abs=0.006)
+    assert parse_config(dump_resolved(parse_config(few))) == parse_config(few)
 
 
 def test_override_reaches_a_parameter_of_the_scene():

@@ -182,8 +182,8 @@ def test_a_sweep_s_folder_is_its_configuration():
         settings_file(folder)
 
 
-def test_a_camera_that_is_given_needs_no_jax():
-    text = "scene: {meshes: [{path: builtin:box}], camera: {eye: [1, 2, 3]}}"
+def test_a_camera_and_a_bias_that_are_given_need_no_jax():
+    text = "scene: {meshes: [{path: builtin:box}], camera: {eye: [1, 2, 3]}}\nbias: {constant: 1}"
     program = (
         f"import sys; from diffshadow.config import parse_config; parse_config({text!r}); print('jax' in sys.modules)"
     )

@@ -459,7 +459,13 @@ def test_the_bias_for_a_filter_is_that_of_a_configuration():
         bias = parse_config(f"{text}{{type: {filter.settings.type}{radius}}}").bias
         of_module = (found.constant.value, found.slope.value, found.normal_offset.value)
         np.testing.assert_allclose(of_module, (bias.constant, bias.slope, bias.normal_offset), rtol=1e-6)
-    assert float(shadow.bias_for(shadow.Nearest()).constant.value) == 2
+    nearest = rules.FILTER_RULES["nearest"].bias
+    assert float(shadow.bias_for(shadow.Nearest()).constant.value) == pytest.approx(nearest.constant)
+    # A caster with two texels across keeps its shadow.
+    assert float(shadow.bias_for(shadow.Nearest(), across=2.0).constant.value) == pytest.approx(2 * rules.PART)
+    assert float(shadow.bias_for(shadow.Nearest(), across=1e6).constant.value) == pytest.approx(nearest.constant)
+    with pytest.raises(ValueError, match="across is -1; expected"):
+        shadow.bias_for(shadow.Nearest(), across=-1.0)
     beside = shadow.bias_for(shadow.PercentageCloser(2.5), shadow.ReceiverPlane())
     expected = (rules.plane_constant_for(2.5), 0)
     np.testing.assert_allclose((beside.constant.value, beside.slope.value), expected, rtol=1e-6)
@@ -467,6 +473,7 @@ def test_the_bias_for_a_filter_is_that_of_a_configuration():
     for plane in (shadow.AdaptiveBias(), shadow.ReceiverPlane(deepening=1.0), shadow.ReceiverPlane(fudge=1.0)):
         assert float(shadow.bias_for(shadow.Bilinear(), plane).constant.value) == 0
     little = shadow.bias_for(shadow.VarianceShadowMap(2.0))
-    assert (float(little.constant.value), float(little.slope.value)) == (0.5, 0.5)
+    expected = rules.FILTER_RULES["vsm, radius 2.5"].bias[:2]
+    assert (float(little.constant.value), float(little.slope.value)) == pytest.approx(expected)
     with pytest.raises(ValueError, match="whose radius is traced"):
         jax.jit(lambda radius: shadow.bias_for(shadow.RandomDisk(radius)).slope.value)(2.0)

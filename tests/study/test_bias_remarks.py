@@ -32,7 +32,7 @@ def remarks(*overrides, height=1.8, more=""):
 
 @pytest.mark.parametrize("height", [1.8, 2.4])
 def test_a_bias_that_is_long_for_a_caster_is_remarked_on_with_lengths(height):
-    (remark,) = remarks(height=height)
+    (remark,) = remarks("bias={constant: 3, slope: 1, normal_offset: 0.5}", height=height)
     assert remark.startswith("scene.meshes.1 (builtin:box) loses much of the shadow of scene.light to the bias: ")
     number = r"([\d.]+)"
     found = re.search(rf"surfaces {number} world .* is {number} texels, .* is {number} world .* {number} wide", remark)

@@ -3,6 +3,7 @@
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from rich.console import Console
 
@@ -13,7 +14,8 @@ from diffshadow.settings import rules
 from diffshadow.settings.engines import ENGINES
 
 PAGE = Path(__file__).parents[2] / "docs" / "rules_of_thumb.md"
-MAP = {"size": 2048, "window": 40.0, "depth": 100.0}
+MAP = study.LightOptions(map=2048, window=40.0, depth=100.0)
+NEAR = ["--map", "9", "--near", "1", "--depth", "9", "--distance", "3"]
 
 
 def printed(**options):
@@ -32,67 +34,110 @@ def setting(text, name):
 def test_all_rules_are_listed_with_what_they_are_worth():
     text = printed()
     for name, rule in rules.FILTER_RULES.items():
-        (line,) = [line for line in text.splitlines() if f"│ {name} " in line]
+        line, by_map = [line for line in text.splitlines() if f"│ {name} " in line]
         found = [float(x) for x in re.findall(r"[\d.]+", line.split(name)[1])]
         assert found[:3] == [float(f"{value:.3g}") for value in rule.bias]
         assert found[3] == pytest.approx(rule.worth.price, abs=0.006)
+        assert found[6] == pytest.approx(rule.own.price, abs=0.006)
+        prices = [float(x) for x in re.findall(r"[\d.]+", by_map.split(name)[1])]
+        assert prices == pytest.approx([*rule.maps.values()], abs=0.006)
 
 
 @pytest.mark.parametrize(
-    ("kind", "radius", "numbers", "worth"),
+    ("kind", "radius", "rule", "said"),
     [
-        ("nearest", None, "constant: 2, slope: 0.5", "nearest: price 1.06"),
-        ("bilinear", None, "constant: 3, slope: 0.5", "bilinear: price 1.10"),
-        ("pcf", 2.5, "constant: 7, slope: 1, normal_offset: 0.5", "pcf, radius 2.5: price 1.10"),
-        ("random_disk", 3, "constant: 6.5, slope: 1, normal_offset: 0.75", "random_disk, radius 2: price 1.10"),
-        ("tent", 2.5, "constant: 8.9, slope: 1.5", "the formula for any filter: price 1.14"),
+        ("nearest", None, "nearest", "nearest"),
+        ("bilinear", None, "bilinear", "bilinear"),
+        ("pcf", 2.5, "pcf, radius 2.5", "pcf, radius 2.5"),
+        ("random_disk", 4, "random_disk, radius 4", "random_disk, radius 4"),
+        ("random_disk", 3, None, "random_disk, radius 2"),
+        ("tent", 2.5, "pcf, radius 2.5", "pcf, radius 2.5"),
+        ("vsm", 6, "vsm, radius 2.5", "vsm, radius 2.5"),
+        ("pcss", None, "pcss", "pcss"),
     ],
 )
-def test_a_filters_bias_is_its_own_rule_or_the_formula(kind, radius, numbers, worth):
+def test_a_filters_bias_is_its_own_rule_or_the_formula(kind, radius, rule, said):
     text = printed(filter=kind, radius=radius)
-    assert f"bias: {{{numbers}}}" in text
-    assert worth in text
-    assert ("receiver_plane" in text) == (radius is not None)
+    numbers, of_filter = (re.search(f"{key}: (\\{{[^}}]*\\}})", text)[1] for key in ("bias", "filter"))
+    if rule is not None:
+        constant, slope, offset = rules.FILTER_RULES[rule].bias
+        of_scene = "scene: {meshes: [{path: 'builtin:box'}]}"
+        found = parse_config(f"{of_scene}\nfilter: {of_filter}\nbias: {numbers}\n").bias
+        expected = (float(f"{constant:.3g}"), float(f"{slope:.3g}"), float(f"{offset:.3g}"))
+        assert (found.constant, found.slope, found.normal_offset) == expected
+    assert f"{said}: price" in text
+    assert ("receiver_plane" in text) == (radius is not None and kind != "vsm")
     assert f"type: {kind}" in text
     # What is printed is what a configuration without a bias has.
     found = re.search(r"filter: \{[^}]*\}", text)
     assert found
     section = f"scene: {{meshes: [{{path: 'builtin:box'}}]}}\n{found[0]}\n"
-    assert parse_config(section).bias == parse_config(f"{section}bias: {{{numbers}}}").bias
+    assert parse_config(section).bias == parse_config(f"{section}bias: {numbers}").bias
 
 
 def test_an_engines_settings_are_its_rule_in_its_units():
     texel, depth = 40 / 2048, 100
     of = rules.ENGINE_RULES
-    three = printed(engine="three.js", **MAP)
+    three = printed(engine="three.js", of_map=MAP)
     assert setting(three, "light.shadow.bias") == pytest.approx(-of["three.js"].constant * texel / depth, rel=1e-3)
     assert setting(three, "light.shadow.normalBias") == pytest.approx(of["three.js"].normal_offset * texel, rel=1e-3)
-    babylon = printed(engine="babylon.js", **MAP)
+    babylon = printed(engine="babylon.js", of_map=MAP)
     assert setting(babylon, "generator.bias") == pytest.approx(2 * of["babylon.js"].constant * texel / depth, rel=1e-3)
-    godot = printed(engine="godot", **MAP)
+    godot = printed(engine="godot", of_map=MAP)
     # At the radius of Soft Low.
     assert setting(godot, "light.shadow_bias") == pytest.approx(50 * of["godot"].constant * texel / depth, rel=1e-3)
     assert setting(godot, "light.shadow_normal_bias") == pytest.approx(of["godot"].normal_offset, rel=1e-3)
-    bevy = printed(engine="bevy", **MAP)
+    bevy = printed(engine="bevy", of_map=MAP)
     assert setting(bevy, "shadow_depth_bias") == pytest.approx(of["bevy"].constant * texel, rel=1e-3)
-    filament = printed(engine="filament", **MAP)
+    filament = printed(engine="filament", of_map=MAP)
     assert setting(filament, "options.normalBias") == pytest.approx(2 * of["filament"].normal_offset, rel=1e-3)
-    unity = printed(engine="unity", **MAP)
+    unity = printed(engine="unity", of_map=MAP)
     assert setting(unity, "light.shadowBias") == pytest.approx(of["unity"].constant / 2.5, rel=1e-3)
     assert set(of) == set(ENGINES)
+
+
+def test_settings_of_spot_and_point_lights_hold_at_their_distance():
+    of = rules.ENGINE_RULES
+    near, depth, distance = 0.5, 19.5, 4.0
+    spot = study.LightOptions("spot", map=1024, angle=30.0, near=near, depth=depth, distance=distance)
+    texel = 2 * np.tan(np.radians(30)) * distance / 1024
+    # Of window depth, whose slope is f n / ((f - n) d²).
+    slope = 20 * near / (depth * distance**2)
+    babylon = printed(engine="babylon.js", of_map=spot)
+    assert setting(babylon, "generator.bias") == pytest.approx(2 * of["babylon.js"].constant * texel * slope, rel=1e-3)
+    unity = printed(engine="unity", of_map=spot)
+    assert setting(unity, "light.shadowNormalBias") == pytest.approx(of["unity"].normal_offset / 2.5, rel=1e-3)
+    assert "at the distance 4" in unity
+    assert "hold there only" in unity
+    godot = printed(engine="godot", of_map=spot)
+    expected = 2.5 * of["godot"].constant * texel / distance
+    assert setting(godot, "light.shadow_bias") == pytest.approx(expected, rel=1e-3)
+    point = study.LightOptions("point", map=512, near=near, depth=depth, distance=distance)
+    face = 2 * distance / 512
+    babylon = printed(engine="babylon.js", of_map=point)
+    assert setting(babylon, "generator.bias") == pytest.approx(of["babylon.js"].constant * face / 20.5, rel=1e-3)
+    bevy = printed(engine="bevy", of_map=point)
+    assert setting(bevy, "shadow_depth_bias") == pytest.approx(of["bevy"].constant * face, rel=1e-3)
 
 
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
         (["--filter", "pfc"], "did you mean pcf?"),
-        (["--filter", "vsm"], "which has no rule"),
+        (["--filter", "separable"], "which has no rule"),
         (["--filter", "bilinear", "--radius", "2"], "given with bilinear, which has none"),
         (["--filter", "pcf", "--radius", "-1"], "expected 0 to"),
         (["--filter", "pcf", "--radius", "nan"], "expected 0 to"),
         (["--radius", "2"], "--radius is given without --filter"),
         (["--map", "512"], "--map is given without --engine"),
         (["--engine", "godot"], "without --map and --window and --depth"),
+        (
+            ["--engine", "godot", "--light", "spot", "--map", "9"],
+            "without --angle and --near and --depth and --distance",
+        ),
+        (["--engine", "godot", "--light", "point", *NEAR, "--window", "9"], "--window is given for a point light"),
+        (["--engine", "godot", "--light", "spot", *NEAR, "--angle", "90"], "--angle is 90; expected more than 0"),
+        (["--distance", "3"], "--distance is given without --engine"),
         (["--engine", "godot", "--map", "0", "--window", "1", "--depth", "1"], "--map is 0; expected more than 0"),
         (["--engine", "godot", "--filter", "pcf"], "given with a filter"),
         (["--engine", "gdot"], "Choose from"),
@@ -109,6 +154,7 @@ def test_options_that_say_nothing_are_refused_in_one_line(arguments, said, capsy
 
 def test_the_page_has_the_numbers_that_the_command_prints():
     page = PAGE.read_text()
+    text = " ".join(page.split())
     for name, rule in rules.FILTER_RULES.items():
         numbers = " ".join(rf"{value:.3g} \|" for value in rule.bias)
         row = rf"\| {re.escape(name)} \| {numbers} {rule.worth.price:.2f} ± 0\.\d+ \| {rule.worth.acne:.0%} \|"
@@ -117,7 +163,9 @@ def test_the_page_has_the_numbers_that_the_command_prints():
         shipped = rf"{rule.shipped.price:.2f} \| {rule.shipped.acne:.0%} \| {rule.shipped.leaks:.0%} \|"
         row = rf"\| {re.escape(ENGINES[name])} \|.*\| {shipped} {rule.constant:.3g} \| {rule.normal_offset:.3g} \|"
         assert re.search(row, page), name
-    formula = f"constant {rules.CONSTANT:g}, slope {rules.SLOPE_PER_TEXEL:g} r"
-    assert formula in page
+    formula = f"constant {rules.CONSTANT:g} + {rules.CONSTANT_PER_TEXEL:g} r, slope {rules.SLOPE:g} + "
+    formula += f"{rules.SLOPE_PER_TEXEL:g} r"
+    assert formula in text
     assert f"constant {rules.PLANE_CONSTANT:g} (1 + r)" in page
-    assert f"searched for in {rules.SEARCHED} of them, and tested on the other {rules.SCENES}" in page
+    assert f"a collection of {rules.SCENES} scenes of {rules.KINDS} kinds" in text
+    assert f"at most {rules.PART:.0%} of" in text

@@ -19,6 +19,7 @@ from stored_runs import write_fit, write_render, write_sweep
 from diffshadow import study
 from diffshadow.cli import main
 from diffshadow.config import parse_config
+from diffshadow.settings import filters, rules
 from diffshadow.study.pages._compare import _errors
 from diffshadow.study.pages._table import ERRORS
 from diffshadow.study.record._runs import Poses
@@ -196,9 +197,10 @@ def test_comparison_prints_and_shows_what_differs(tmp_path):
     check_alone(parsed)
     printed = out.getvalue()
     (line,) = [line for line in printed.splitlines() if "bias.slope" in line]
-    assert re.findall(r"\d\.\d+", line) == ["1.0", "0.25"]
+    slope = rules.bias_of(filters.RandomDisk, 2.5).slope
+    assert re.findall(r"\d\.\d+", line) == [f"{slope}", "0.25"]
     assert "filter.samples" not in printed
-    assert "bias.slope 1.0 0.25 texels" in parsed.text
+    assert f"bias.slope {slope} 0.25 texels" in parsed.text
     # The same shadow is one reference; folders of one name are told apart by their paths.
     assert parsed.names[:3] == [f"{first}, shaded", f"{second}, shaded", "Reference"]
     assert parsed.names[3:5] == [str(first), str(second)]

@@ -14,15 +14,17 @@ from ... import geometry
 from ..._types import HostArray
 from ...settings import scene as settings
 from ..sections._config import Config
-from ..sections._scene import DirectionalLightConfig, MeshConfig, SceneConfig
+from ..sections._scene import DirectionalLightConfig, MeshConfig
 from ._auto import Asked
 from ._meshes import place_mesh
 
 # Digits of lengths, counted from the scene's size.
 _DIGITS = 4
-# Meshes whose triangles are kept, and scenes whose parts that were found: views and runs share them.
-_MAX_KEPT, _MAX_ARRANGED = 4, 64
+# Meshes whose triangles are kept, ones whose boxes are, and scenes whose parts that were found: views and runs share
+# them.
+_MAX_KEPT, _MAX_BOXES, _MAX_ARRANGED = 4, 4096, 64
 _kept: dict[str, Float[HostArray, "f 3 3"]] = {}
+_boxes: dict[str, Float[HostArray, "2 3"]] = {}
 _arranged: dict[bytes, geometry.Arranged] = {}
 
 
@@ -48,9 +50,9 @@ def find(config: Config, scene: Mapping[str, Any], asked: Asked) -> Found | None
     casts = np.repeat([mesh.casts for mesh in config.scene.meshes], [len(each) for each in meshes])
     camera = config.scene.camera
     up = np.asarray(camera.up, float)
-    light = None if asked.light else _given_light(config.scene, meshes[0])
-    if asked.sun:
-        light = _given_light(config.scene, meshes[0])
+    # Of several lights, the first one.
+    first = next(iter(config.scene.each_light.values()))
+    light = frame_light(first, meshes[0]) if asked.sun or not asked.light else None
     view = None if asked.camera else _given_camera(camera, meshes[0])
     given = geometry.Given(light, view, _lens(camera), casts, up)
     wanted = geometry.Wanted(asked.camera, asked.light and light is None, asked.ground)
@@ -126,9 +128,8 @@ def _lens(camera: Any) -> geometry.Lens:
     return geometry.Lens((half * columns / rows, half), hasattr(camera, "fov_y"))
 
 
-def _given_light(scene: SceneConfig, first: Float[HostArray, "f 3 3"]) -> geometry.FrameLight:
-    """The scene's first light."""
-    light: Any = next(iter(scene.each_light.values()))
+def frame_light(light: Any, first: Float[HostArray, "f 3 3"]) -> geometry.FrameLight:
+    """The direction or the position of a light's section; `first` has the triangles of the scene's first mesh."""
     if isinstance(light, DirectionalLightConfig):
         if light.direction is not None:
             return geometry.FrameLight(np.asarray(light.direction, float))
@@ -168,6 +169,16 @@ def corners_of(section: MeshConfig) -> Float[HostArray, "f 3 3"]:
         return placed.vertices[np.asarray(placed.faces)]
 
     return _remembered(_kept, _MAX_KEPT, _key_of(section), make)
+
+
+def box_of(section: MeshConfig) -> Float[HostArray, "2 3"]:
+    """The least and the greatest coordinates of a mesh in the world."""
+
+    def make() -> Float[HostArray, "2 3"]:
+        corners = corners_of(section)
+        return np.stack([corners.min(axis=(0, 1)), corners.max(axis=(0, 1))])
+
+    return _remembered(_boxes, _MAX_BOXES, _key_of(section), make)
 
 
 def _key_of(section: MeshConfig) -> str:

@@ -3,13 +3,16 @@
 import os
 from collections.abc import Sequence
 from dataclasses import replace
+from statistics import median
 from typing import Any
 
 from pydantic import ValidationError
 
+from ...settings.techniques import SingleMap
 from .._errors import ConfigError, Mistake, Origin
 from ..framing._auto import Asked, asked_in
 from ..sections._config import Config
+from ..sections._technique import with_bias
 from ._draft import Draft, load_draft, parse_draft
 from ._files import resolve_files
 from ._mistakes import mistakes_at, mistakes_of
@@ -97,6 +100,7 @@ def checked(draft: Draft, *, fitting: bool = False, files: bool = True) -> Confi
     if files:
         if any(asked[:3]):
             config, data = _with_found(config, data, complete, asked)
+        config, data = _with_bias_for(config, data)
         config._views, config._validation = views_of(config, draft._replace(data=data), checked)
     return config
 
@@ -130,6 +134,24 @@ def _with_found(
     data = {**data, "scene": found.scene}
     made = Config.model_validate(data)
     made._origin = replace(config.origin, notes=(*config.origin.notes, *found.notes))
+    return made, data
+
+
+def _with_bias_for(config: Config, data: dict[str, Any]) -> tuple[Config, dict[str, Any]]:
+    """`config` and `data` with the constant bias that suits the size of the casters, if no constant is given."""
+    given = "constant" in (data.get("bias") or {})
+    # Other layouts have texels that suit what the camera sees.
+    if given or not config.bias.constant or not isinstance(config.technique, SingleMap):
+        return config, data
+    # It loads JAX, which other configurations do without.
+    from ..framing._texels import texels_across
+
+    across = texels_across(config)
+    if not len(across):
+        return config, data
+    data = dict(with_bias(data, float(median(across))))
+    made = Config.model_validate(data)
+    made._origin = config.origin
     return made, data
 
 

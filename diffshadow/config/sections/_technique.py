@@ -1,6 +1,7 @@
 """Sections of a technique: how maps are drawn and laid out, biases, compares and filters."""
 
 import itertools
+import math
 from collections.abc import Iterator, Mapping
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, get_args
@@ -454,16 +455,18 @@ _PLANES = ({}, {"type": "none"}, {"type": "receiver_plane"})
 """Sections of a plane that the rules were measured with."""
 
 
-def with_bias(data: Mapping[str, Any]) -> Mapping[str, Any]:
+def with_bias(data: Mapping[str, Any], across: float = math.inf) -> Mapping[str, Any]:
     """The data of a configuration with a constant and a slope bias, and a normal offset unless both are given. What is
     no valid section is reported elsewhere.
 
     A normal offset lets the filter read farther, so there is none by itself where a map's borders limit that.
+
+    **Arguments:** `across`: how many texels a typical caster has across.
     """
     bias, kernel = data.get("bias", {}), data.get("filter", {})
     if not isinstance(bias, Mapping) or not isinstance(kernel, Mapping):
         return data
-    rule = {key: _within(data, key, value) for key, value in _rule(bias, kernel)._asdict().items()}
+    rule = {key: _within(data, key, value) for key, value in _rule(bias, kernel, across)._asdict().items()}
     if ("constant" in bias and "slope" in bias) or _has_near_borders(data):
         rule.pop("normal_offset")
     return {**data, "bias": {**rule, **bias}}
@@ -486,7 +489,7 @@ def _has_terms(bias: Mapping[str, Any]) -> bool:
     return bool(given(terms, *terms) if isinstance(terms, Mapping) else terms)
 
 
-def _rule(bias: Mapping[str, Any], kernel: Mapping[str, Any]) -> rules.Numbers:
+def _rule(bias: Mapping[str, Any], kernel: Mapping[str, Any], across: float) -> rules.Numbers:
     # Rules are in texels, and a bias of terms needs no other.
     if bias.get("unit") == "depth" or _has_terms(bias) or bias.get("plane", {}) not in _PLANES:
         return _NONE
@@ -494,10 +497,10 @@ def _rule(bias: Mapping[str, Any], kernel: Mapping[str, Any]) -> rules.Numbers:
     values = {key: kernel.get(key, field.default) for key, field in kind.model_fields.items()}
     plane = value_at(bias, "plane", "type", default="none") != "none"
     if not issubclass(kind, rules.MEASURED):
-        return rules.bias_of(kind, 0.0, plane=plane)
+        return rules.bias_of(kind, 0.0, plane=plane, across=across)
     if not all(is_number(values[key]) for key in ("radius", "size") if key in values):
         return _NONE
-    return rules.bias_of(kind, float(kind.reach_of(SimpleNamespace(**values))), plane=plane)
+    return rules.bias_of(kind, float(kind.reach_of(SimpleNamespace(**values))), plane=plane, across=across)
 
 
 def _within(data: Mapping[str, Any], key: str, value: float) -> float:

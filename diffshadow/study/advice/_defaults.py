@@ -1,22 +1,24 @@
 """Rules of thumb for biases: what to type where nothing is fitted."""
 
 import difflib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
+from typing import NamedTuple
 
 from rich.console import Console
 from rich.table import Table
 
-from ...geometry import DirectionalLight
+from ...geometry import AbstractLight, DirectionalLight, PointLight, SpotLight
 from ...settings import filters, rules
 from ...settings.engines import ENGINES, POLYGON_OFFSETS, EngineName
 from ...settings.quantities import FARTHEST, MAX_TEXELS
 from ...settings.rules import Worth
-from ...shadow import engine_settings
+from ...settings.scene import LightKind
+from ...shadow import engine_settings, light_frame
 from ..pages import _table as table
 from ._formula_engines import FORMULA_ENGINES, beside, lines_of
 
-_KERNELS: Mapping[str, type[filters.Filter]] = {each.type: each for each in rules.MEASURED}
+_KERNELS: Mapping[str, type[filters.Filter]] = {each.type: each for each in rules.RULED}
 # The filter of each engine that its rule was measured with, as in `FORMULA_ENGINES`.
 _MEASURED: Mapping[EngineName, str] = {
     "three.js": "PCFShadowMap",
@@ -26,11 +28,75 @@ _MEASURED: Mapping[EngineName, str] = {
     "filament": "PCF",
     "unity": "Soft, Medium",
 }
+_THERE_ONLY = "settings that do not grow with the distance as texels do hold there only"
 # What the engines do beside the bias, and did where the rules were measured.
 _BESIDES: Mapping[EngineName, str] = {
     "three.js": "back faces cast, as by default (material.shadowSide)",
     **{name: f"beside {beside(name)}" for name in POLYGON_OFFSETS},
 }
+
+
+# The options that the map of each kind of light needs, and the most that each may be.
+_NEEDED: Mapping[LightKind, Sequence[str]] = {
+    "directional": ("map", "window", "depth"),
+    "spot": ("map", "angle", "near", "depth", "distance"),
+    "point": ("map", "near", "depth", "distance"),
+}
+_MOST = {"map": MAX_TEXELS, "angle": 89.0}
+
+
+class LightOptions(NamedTuple):
+    """An engine's light and its map.
+
+    - `map`: its side in texels; `window`: how wide the map of a directional light is, in world units.
+    - `depth`: the map's far plane less its near plane, in world units.
+    - `angle`: half the angle of a spot light's cone, in degrees.
+    - `near`: the near plane of a spot or point light, and `distance`: from it, where settings hold; in world units.
+    """
+
+    light: LightKind = "directional"
+    map: int | None = None
+    window: float | None = None
+    depth: float | None = None
+    angle: float | None = None
+    near: float | None = None
+    distance: float | None = None
+
+    @property
+    def given(self) -> dict[str, float | None]:
+        """All options but the kind of light."""
+        return {name: value for name, value in self._asdict().items() if name != "light"}
+
+    def check(self, engine: EngineName) -> None:
+        """**Raises** `ValueError` for options that are missing, of another light, or out of their range."""
+        needed, given = _NEEDED[self.light], self.given
+        missing = [f"--{name}" for name in needed if given[name] is None]
+        if missing:
+            every = [f"--{name}" for name in needed]
+            raise ValueError(
+                f"--engine {engine} is given without {' and '.join(missing)}; expected all of "
+                f"{', '.join(every[:-1])} and {every[-1]} for a {self.light} light: an engine's units depend on them"
+            )
+        for name, value in given.items():
+            if value is None:
+                continue
+            if name not in needed:
+                raise ValueError(f"--{name} is given for a {self.light} light, which has none; leave it out")
+            most = _MOST.get(name, FARTHEST)
+            if not 0 < value <= most:
+                raise ValueError(f"--{name} is {value:g}; expected more than 0 and at most {most:g}; change it")
+
+    def made(self) -> tuple[AbstractLight, float]:
+        """The light, and the distance at which settings hold, in world units."""
+        depth, distance = self.depth or 0.0, self.distance or 1.0
+        down, origin = (0.0, -1.0, 0.0), (0.0, 0.0, 0.0)
+        if self.light == "directional":
+            window = self.window or 0.0
+            return DirectionalLight(down, origin, (window, window), 0.0, depth), distance
+        near = self.near or 0.0
+        if self.light == "spot":
+            return SpotLight(origin, down, self.angle or 0.0, near, near + depth), distance
+        return PointLight(origin, near, near + depth), distance
 
 
 def print_defaults(
@@ -39,24 +105,21 @@ def print_defaults(
     filter: str | None = None,
     radius: float | None = None,
     engine: EngineName | None = None,
-    size: int | None = None,
-    window: float | None = None,
-    depth: float | None = None,
+    of_map: LightOptions | None = None,
 ) -> None:
     """Prints the biases that hold over many scenes, and what they are worth.
 
     **Arguments:**
 
     - `filter`, `radius`: a filter's type and its radius in texels. Its bias is printed as a part of a configuration.
-    - `engine`: whose settings are printed instead, for its default filter under a directional light.
-    - `size`, `window`, `depth`: of the engine's map: its side in texels, and how wide and deep the light's camera is,
-        in world units.
+    - `engine`: whose settings are printed instead, for its default filter.
+    - `of_map`: the engine's light and map.
 
     **Raises** `ValueError` for a filter without a rule, and for options that do not go together.
     """
-    of_map = {"map": size, "window": window, "depth": depth}
+    of_map = LightOptions() if of_map is None else of_map
     if engine is None:
-        _refuse("engine", "the map of an engine", of_map)
+        _refuse("engine", "the map of an engine", of_map.given)
         if filter is None:
             _refuse("filter", "a filter's", {"radius": radius})
             _print_all(console)
@@ -65,16 +128,8 @@ def print_defaults(
         return
     if filter is not None or radius is not None:
         raise ValueError(f"--engine {engine} is given with a filter; expected one of them: its default filter is used")
-    missing = [f"--{name}" for name, value in of_map.items() if value is None]
-    if size is None or window is None or depth is None:
-        raise ValueError(
-            f"--engine {engine} is given without {' and '.join(missing)}; expected all of --map, --window and --depth: "
-            "an engine's units depend on them"
-        )
-    for name, value, most in (("map", size, MAX_TEXELS), ("window", window, FARTHEST), ("depth", depth, FARTHEST)):
-        if not 0 < value <= most:
-            raise ValueError(f"--{name} is {value:g}; expected more than 0 and at most {most:g}; change it")
-    _print_engine(engine, size, window, depth, console)
+    of_map.check(engine)
+    _print_engine(engine, of_map, console)
 
 
 def _refuse(needed: str, of: str, given: Mapping[str, float | None]) -> None:
@@ -87,21 +142,27 @@ def _refuse(needed: str, of: str, given: Mapping[str, float | None]) -> None:
 
 
 def _print_all(console: Console) -> None:
-    made = Table("filter", "constant", "slope", "normal offset", "price", "acne", "leaks")
+    made = Table("filter", "constant", "slope", "normal offset", "price", "acne", "leaks", "own price")
+    by_map = Table("price by map", *(f"{side}²" for side in next(iter(rules.FILTER_RULES.values())).maps))
     for name, rule in rules.FILTER_RULES.items():
         numbers = (f"{value:.3g}" for value in rule.bias)
-        made.add_row(name, *numbers, *_cells(rule.worth))
+        made.add_row(name, *numbers, *_cells(rule.worth), f"{rule.own.price:.2f}")
+        by_map.add_row(name, *(f"{price:.2f}" for price in rule.maps.values()))
     console.print(made)
+    console.print(by_map)
     table.print_lines(
         console,
         [
-            "without a bias, a configuration has its filter's rule; between two radii, it is interpolated",
-            f"for other filters, which reach r texels: constant {rules.CONSTANT:g}, slope {rules.SLOPE_PER_TEXEL:g} r; "
-            f"{_sentence(rules.FORMULA_WORTH)}",
+            "without a bias, a configuration has its filter's rule; between two radii, it is interpolated; its "
+            f"constant is at most {rules.PART:.0%} of a typical caster's width, or of the kernel's",
+            f"for any filter that reaches r texels: constant {rules.CONSTANT:g} + {rules.CONSTANT_PER_TEXEL:g} r, "
+            f"slope {rules.SLOPE:g} + {rules.SLOPE_PER_TEXEL:g} r; {_sentence(rules.FORMULA_WORTH)}",
             f"with a bias from the receiver's plane: constant {rules.PLANE_CONSTANT:g} (1 + r); "
             f"{_sentence(rules.PLANE_WORTH)}",
-            f"price: the mean error over that of the best bias for each of {rules.SCENES} scenes; acne, leaks: the "
-            "share of scenes where more than a thousandth of the light is wrongly missing, or there",
+            f"price: the mean error over that of the best bias for each of {rules.SCENES} scenes, with rules that were "
+            "searched for without scenes of their kind; own price: of the rule, in the scenes that it was searched for "
+            "in; acne, leaks: the share of scenes where more than a thousandth of the light is wrongly missing, or "
+            "there",
             "for a filter: diffshadow defaults --filter random_disk --radius 3",
             "for an engine: diffshadow defaults --engine godot --map 2048 --window 40 --depth 100",
         ],
@@ -126,14 +187,9 @@ def _print_filter(name: str, radius: float | None, console: Console) -> None:
     numbers = ", ".join(f"{key}: {value:.3g}" for key, value in bias._asdict().items() if value or key == "constant")
     lines = [f"filter: {{type: {name}{size}}}", f"bias: {{{numbers}}}  # texels"]
     table.print_code(console, f"for a filter that reaches {reach:g} texels:", "\n".join(lines))
-    own = rules.measured_of(kind)
-    if own:
-        near = min(own, key=lambda each: abs(each.reach - reach))
-        worth = f"{near.name}: {_sentence(near.rule.worth)}"
-    else:
-        worth = f"the formula for any filter: {_sentence(rules.FORMULA_WORTH)}"
-    table.print_lines(console, [worth])
-    if reach >= 1:
+    near = min(rules.measured_of(kind), key=lambda each: abs(each.reach - reach))
+    table.print_lines(console, [f"{near.name}: {_sentence(near.rule.worth)}"])
+    if reach >= 1 and kind in rules.MEASURED:
         with_plane = f"bias: {{plane: {{type: receiver_plane}}, constant: {rules.plane_constant_for(reach):.3g}}}"
         table.print_code(console, "or, with less error and more work:", with_plane)
 
@@ -141,44 +197,58 @@ def _print_filter(name: str, radius: float | None, console: Console) -> None:
 # --- Engines ---
 
 
-def _print_engine(engine: EngineName, size: int, window: float, depth: float, console: Console) -> None:
-    rule, texel = rules.ENGINE_RULES[engine], window / size
-    light = DirectionalLight((0.0, -1.0, 0.0), (0.0, 0.0, 0.0), (window, window), 0.0, depth)
+def _print_engine(engine: EngineName, of_map: LightOptions, console: Console) -> None:
+    rule, size = rules.ENGINE_RULES[engine], of_map.map or 0
+    light, distance = of_map.made()
+    texel = light_frame(light, (size, size), distance).texel
     known, offset = FORMULA_ENGINES.get(engine), rule.normal_offset
     if known is None:
-        lines = _exact_lines(engine, light, size, rule.constant * texel, offset)
+        lines = _exact_lines(engine, light, size, rule.constant * texel, offset, distance)
     else:
+        found = engine_settings(light, (size, size), 1.0, 1.0, distance)
+        has = {each.setting for each in found if each.engine == ENGINES[engine] and each.value}
+        if known.bias not in has:
+            raise ValueError(
+                f"{ENGINES[engine]} has no bias for a {of_map.light} light that is known here; expected another light"
+            )
+        offset = offset if known.offset in has else 0.0
         chosen = next(each for each in known.filters if each.label == _MEASURED[engine])
         radius = float(chosen.section.get("radius", 0.0))
-        lines = lines_of(engine, chosen, radius, light, (size, size), rule.constant * texel, offset, 1.0)
+        lines = lines_of(engine, chosen, radius, light, (size, size), rule.constant * texel, offset, distance)
     title = f"{ENGINES[engine]}, {_MEASURED[engine]}: {rule.constant:.3g} texels towards the light"
     if offset:
         title += f", and {offset:.3g} along the normal"
-    table.print_code(console, f"{title}; a texel is {texel:.4g} world units wide", "\n".join(lines))
+    at = "" if light.is_directional else f" at the distance {distance:g}"
+    table.print_code(console, f"{title}; a texel is {texel:.4g} world units wide{at}", "\n".join(lines))
     table.print_lines(
         console,
         [
             *([_BESIDES[engine]] if engine in _BESIDES else []),
             _sentence(rule.worth),
             f"what {ENGINES[engine]} ships: {_sentence(rule.shipped)}",
+            *([] if light.is_directional else [_THERE_ONLY]),
             *([] if known is None else [f"read from {ENGINES[engine]}'s sources, and not verified against the engine"]),
             f"for a scene of yours: diffshadow advise CONFIG --engine {engine}",
         ],
     )
 
 
-def _exact_lines(engine: EngineName, light: DirectionalLight, size: int, shift: float, offset: float) -> list[str]:
-    found = engine_settings(light, (size, size), shift, offset, 1.0)
+def _exact_lines(
+    engine: EngineName, light: AbstractLight, size: int, shift: float, offset: float, distance: float
+) -> list[str]:
+    found = engine_settings(light, (size, size), shift, offset, distance)
     values = {each.setting: each.value for each in found if each.engine == ENGINES[engine] and each.value is not None}
     if engine == "three.js":
         return [
             f"light.shadow.mapSize.set({size}, {size});",
             *(f"{name} = {value + 0.0:.4g};" for name, value in values.items()),
         ]
+    # Under a point light, PCF becomes POISSON.
+    bias = next(name for name in ("generator.bias (PCF)", "generator.bias (NONE, POISSON, ESM)") if name in values)
     return [
         f"const generator = new BABYLON.ShadowGenerator({size}, light);",
         "generator.usePercentageCloserFiltering = true;",
-        f"generator.bias = {values['generator.bias (PCF)']:.4g};",
+        f"generator.bias = {values[bias]:.4g};",
         f"generator.normalBias = {values['generator.normalBias']:.4g};",
     ]
 
