@@ -11,13 +11,14 @@ from _opengl import OpenGL
 
 GLSL_MAIN = """
 uniform sampler2D positions, normals, ways, depths;
-uniform mat4 world_to_eye, eye_to_clip;
+uniform mat4 world_to_eye[SHADOW_LAYERS], eye_to_clip;
 out float lit;
 void main() {
     ivec2 pixel = ivec2(gl_FragCoord.xy);
     vec3 position = texelFetch(positions, pixel, 0).xyz, normal = texelFetch(normals, pixel, 0).xyz;
     vec3 way = texelFetch(ways, pixel, 0).xyz;
-    lit = shadow(depths, world_to_eye, eye_to_clip, position, normal, way, vec2(pixel));
+    int layer = LAYER(way);
+    lit = shadow(depths, world_to_eye[layer], eye_to_clip, position, normal, way, vec2(pixel), layer);
 }
 """
 VERTEX = """
@@ -30,17 +31,18 @@ Texture2D<float4> positions : register(t0);
 Texture2D<float4> normals : register(t1);
 Texture2D<float4> ways : register(t2);
 Texture2D<float> depths : register(t3);
-cbuffer matrices : register(b0) { float4x4 world_to_eye; float4x4 eye_to_clip; };
+cbuffer matrices : register(b0) { float4x4 eye_to_clip; float4x4 world_to_eye[SHADOW_LAYERS]; };
 float4 main(float4 at : SV_Position) : SV_Target {
     int3 pixel = int3(int(at.x), int(at.y), 0);
     float3 position = positions.Load(pixel).xyz;
     float3 normal = normals.Load(pixel).xyz;
     float3 way = ways.Load(pixel).xyz;
-    return shadow(depths, world_to_eye, eye_to_clip, position, normal, way, float2(pixel.xy));
+    int layer = LAYER(way);
+    return shadow(depths, world_to_eye[layer], eye_to_clip, position, normal, way, float2(pixel.xy), layer);
 }
 """
 WGSL_MAIN = """
-struct Matrices { world_to_eye: mat4x4f, eye_to_clip: mat4x4f }
+struct Matrices { eye_to_clip: mat4x4f, world_to_eye: array<mat4x4f, SHADOW_LAYERS> }
 @group(0) @binding(0) var depths: texture_depth_2d;
 @group(0) @binding(1) var<uniform> matrices: Matrices;
 @group(0) @binding(2) var<storage, read> points: array<f32>;
@@ -51,7 +53,10 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
     let pixel = vec2f(f32(id.x % WIDTHu), f32(id.x / WIDTHu));
     let i = 3 * id.x;
     let at = vector(i);
-    lit[id.x] = shadow(depths, matrices.world_to_eye, matrices.eye_to_clip, at, vector(i + 1), vector(i + 2), pixel);
+    let way = vector(i + 2);
+    let layer = LAYER(way);
+    let to_eye = matrices.world_to_eye[layer];
+    lit[id.x] = shadow(depths, to_eye, matrices.eye_to_clip, at, vector(i + 1), way, pixel, layer);
 }
 """
 # A depth texture is written by a pass only.
@@ -73,10 +78,14 @@ class Picture:
         view = shadow_map.view
         images = (surface.position, surface.normal, ways)
         self.images = [np.ascontiguousarray(image, np.float32) for image in images]
-        self.depths = np.ascontiguousarray(shadow_map.depth, np.float32)
-        self.world_to_eye, self.eye_to_clip = (
-            np.asarray(matrix, np.float32) for matrix in (view.world_to_eye, view.eye_to_clip)
-        )
+        # Layers lie one above the other.
+        self.depths = np.ascontiguousarray(shadow_map.depth, np.float32).reshape(-1, shadow_map.depth.shape[-1])
+        self.world_to_eye = np.asarray(view.world_to_eye, np.float32).reshape(-1, 4, 4)
+        self.eye_to_clip = np.asarray(view.eye_to_clip, np.float32)
+
+    def main(self, text: str) -> str:
+        """A program's main function, with the layer that it reads."""
+        return text.replace("LAYER(way)", "shadow_layer(-way)" if len(self.world_to_eye) > 1 else "0")
 
     @property
     def eye_to_clip_from_zero(self) -> np.ndarray:
@@ -94,21 +103,22 @@ class ByOpenGL:
             pytest.skip(f"there is no OpenGL here: {error}")
 
     def __call__(self, shader: str, picture: Picture) -> np.ndarray:
-        return self._drawn(f"#version 330\n{shader}{GLSL_MAIN}", picture, picture.depths, picture.eye_to_clip)
+        return self._drawn(
+            f"#version 330\n{shader}{picture.main(GLSL_MAIN)}", picture, picture.depths, picture.eye_to_clip
+        )
 
     def _drawn(self, fragment: str, picture: Picture, depths: np.ndarray, eye_to_clip: np.ndarray) -> np.ndarray:
         import moderngl
 
         context = self.context
         program = context.program(vertex_shader=VERTEX, fragment_shader=fragment)
-        matrices = {"world_to_eye": picture.world_to_eye, "eye_to_clip": eye_to_clip}
+        to_eye = b"".join(matrix.T.tobytes() for matrix in picture.world_to_eye)
         if "matrices" in program:
-            block = b"".join(matrix.T.tobytes() for matrix in matrices.values())
-            context.buffer(block).bind_to_uniform_block(0)
+            context.buffer(eye_to_clip.T.tobytes() + to_eye).bind_to_uniform_block(0)
             program["matrices"].binding = 0
         else:
-            for name, matrix in matrices.items():
-                program[name].write(matrix.T.tobytes())
+            program["world_to_eye"].write(to_eye)
+            program["eye_to_clip"].write(eye_to_clip.T.tobytes())
         names = ("positions", "normals", "ways", "depths")
         for unit, (name, image) in enumerate(zip(names, [*picture.images, depths[..., None]], strict=True)):
             height, width, channels = image.shape
@@ -138,7 +148,7 @@ class BySpirv(ByOpenGL):
 
     def __call__(self, shader: str, picture: Picture) -> np.ndarray:
         source, binary = self.folder / "shader.hlsl", self.folder / "shader.spv"
-        source.write_text(shader + HLSL_MAIN)
+        source.write_text(shader + picture.main(HLSL_MAIN))
         run = lambda *command: subprocess.run(list(map(str, command)), capture_output=True, text=True)
         compiled = run("glslangValidator", "-D", "-S", "frag", "-e", "main", "-V", source, "-o", binary)
         assert compiled.returncode == 0, compiled.stdout
@@ -162,11 +172,11 @@ class ByWebGPU:
         device, usage = self.device, wgpu.BufferUsage
         height, width = picture.images[0].shape[:2]
         points = np.concatenate(picture.images, axis=-1).reshape(-1, 9)
-        matrices = np.stack([picture.world_to_eye.T, picture.eye_to_clip_from_zero.T])
+        matrices = np.stack([picture.eye_to_clip_from_zero.T, *(each.T for each in picture.world_to_eye)])
         uniform = device.create_buffer_with_data(data=np.ascontiguousarray(matrices), usage=usage.UNIFORM)
         inputs = device.create_buffer_with_data(data=points, usage=usage.STORAGE)
         lit = device.create_buffer(size=4 * len(points), usage=usage.STORAGE | usage.COPY_SRC)
-        code = shader + WGSL_MAIN.replace("WIDTH", str(width))
+        code = shader + picture.main(WGSL_MAIN).replace("WIDTH", str(width))
         module = device.create_shader_module(code=code)
         pipeline = device.create_compute_pipeline(layout="auto", compute={"module": module, "entry_point": "main"})
         parts = [self._depths(picture.depths).create_view(), *({"buffer": each} for each in (uniform, inputs, lit))]

@@ -1,5 +1,6 @@
 // Where the map is tapped, and what is compared there.
 struct ShadowLookup {
+    int layer;  // of the map
     vec2 texel;  // in texels from the lower left corner
     float depth;  // window depth less the bias
     float depth_per_texel;  // window depth over a texel's width
@@ -11,7 +12,7 @@ struct ShadowLookup {
 
 // A compare with a texel: 1 lit, 0 shadowed. Nothing casts a shadow where the map is empty.
 float shadow_compared(sampler2D map, ShadowLookup at, ivec2 texel) {
-    float stored = shadow_stored(map, texel);
+    float stored = shadow_stored(map, at.layer, texel);
     if (stored == 1.0) {
         return 1.0;
     }

@@ -15,26 +15,32 @@ struct ShadowReceiver {
     float stored;  // window depth in the map at the receiver's own texel
 };
 
-// The depth in a texel, and 1 beyond the map.
-float shadow_stored(sampler2D map, ivec2 texel) {
+// Width and height in texels of a layer. A map of several has the first one at its lower end.
+ivec2 shadow_layer_size(sampler2D map) {
     ivec2 size = shadow_size(map);
+    return ivec2(size.x, size.y / SHADOW_LAYERS);
+}
+
+// The depth in a texel, and 1 beyond the layer.
+float shadow_stored(sampler2D map, int layer, ivec2 texel) {
+    ivec2 size = shadow_layer_size(map);
     if (texel.x < 0 || texel.y < 0 || texel.x >= size.x || texel.y >= size.y) {
         return 1.0;
     }
-    return shadow_fetch(map, texel);
+    return shadow_fetch(map, ivec2(texel.x, texel.y + layer * size.y));
 }
 
 // Width and height of a texel in world units; under a perspective, at a distance of 1.
 vec2 shadow_extent(mat4 eye_to_clip, sampler2D map) {
-    vec2 size = vec2(shadow_size(map));
+    vec2 size = vec2(shadow_layer_size(map));
     return vec2(2.0 / (eye_to_clip[0][0] * size.x), 2.0 / (eye_to_clip[1][1] * size.y));
 }
 
-ShadowReceiver shadow_receiver(sampler2D map, mat4 world_to_eye, mat4 eye_to_clip, vec3 position, vec3 normal, vec3 to_light) {
+ShadowReceiver shadow_receiver(sampler2D map, int layer, mat4 world_to_eye, mat4 eye_to_clip, vec3 position, vec3 normal, vec3 to_light) {
     ShadowReceiver at;
     vec3 eye = shadow_times(world_to_eye, vec4(position, 1.0)).xyz;
     vec4 clip = shadow_times(eye_to_clip, vec4(eye, 1.0));
-    vec2 size = vec2(shadow_size(map));
+    vec2 size = vec2(shadow_layer_size(map));
     float span = SHADOW_FAR - SHADOW_NEAR;
     float along = shadow_select(-eye.z, max(-eye.z, SHADOW_NEAR), SHADOW_PERSPECTIVE);
     at.position = position;
@@ -69,6 +75,6 @@ ShadowReceiver shadow_receiver(sampler2D map, mat4 world_to_eye, mat4 eye_to_cli
     at.rounding = 8.0 * 1.1920929e-07 * (1.0 + depth_slope * reach * steepness) + SHADOW_HALF_STEP;
     at.light_distance = (along - SHADOW_NEAR) / span;
     at.depth_range = span;
-    at.stored = shadow_stored(map, ivec2(floor(at.texel)));
+    at.stored = shadow_stored(map, layer, ivec2(floor(at.texel)));
     return at;
 }

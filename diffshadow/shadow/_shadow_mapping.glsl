@@ -5,13 +5,15 @@
 // position: of the surface in world units; normal: of its plane, of length 1, not interpolated
 // to_light: unit vector from there to the light
 // pixel: counted from the picture's lower left pixel, which is (0, 0); only patterns use it
-float shadow(sampler2D map, mat4 world_to_eye, mat4 eye_to_clip, vec3 position, vec3 normal, vec3 to_light, vec2 pixel) {
-    ShadowReceiver at = shadow_receiver(map, world_to_eye, eye_to_clip, position, normal, to_light);
+// layer: of the map; 0 if it has only one
+float shadow(sampler2D map, mat4 world_to_eye, mat4 eye_to_clip, vec3 position, vec3 normal, vec3 to_light, vec2 pixel, int layer) {
+    ShadowReceiver at = shadow_receiver(map, layer, world_to_eye, eye_to_clip, position, normal, to_light);
     // A surface that faces away from the light is dark.
     if (!(at.cosine > 0.0)) {
         return 0.0;
     }
     ShadowLookup to;
+    to.layer = layer;
     to.texel = at.texel;
     to.depth = at.depth;
     bool in_front = at.in_front;
@@ -21,7 +23,7 @@ float shadow(sampler2D map, mat4 world_to_eye, mat4 eye_to_clip, vec3 position, 
         in_front = clip.w > shadow_select(0.0, 0.001 * SHADOW_NEAR, SHADOW_PERSPECTIVE);
         if (in_front) {
             vec3 window = shadow_window(clip);
-            to.texel = window.xy * vec2(shadow_size(map));
+            to.texel = window.xy * vec2(shadow_layer_size(map));
             to.depth = window.z;
         }
     }

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import LIGHTS, marked
+from scenes import LAMP, LIGHTS, marked
 from shader_chains import ByOpenGL, BySpirv, ByWebGPU, Picture
 
 from diffshadow import shadow
@@ -92,19 +92,26 @@ def chain(request, tmp_path_factory):
     return request.param, makers[request.param]()
 
 
+def bulb(mesh):
+    return PointLight.around(jnp.asarray(LAMP), mesh.vertices)
+
+
+EACH = {**LIGHTS, "point": bulb}
+
+
 @functools.cache
 def picture_of(name, light):
     """A technique's visibility of a small scene under a light, and what a shader needs to find it."""
     meshes = [library_mesh("torus", segments=14, sides=8), library_mesh("plane", size=3.0)]
     camera = PinholeCamera((1.6, 1.4, 2.0), (0.0, 0.2, 0.0), fov_y=40, near=0.1, far=10, resolution=(SIDE, SIDE))
-    scene = Scene(meshes, camera, LIGHTS[light](merge(meshes)))
+    scene = Scene(meshes, camera, EACH[light](merge(meshes)))
     technique, surface = TECHNIQUES[name], draw_surface(scene.mesh, camera)
     state = technique.prepare(scene)
     picture = Picture(state, surface, normalize(scene.light.towards(surface.position)))
     return scene.light, picture, np.asarray(technique.visibility(state, surface)), np.asarray(surface.mask)
 
 
-@pytest.mark.parametrize("light", marked(LIGHTS, {"directional"}))
+@pytest.mark.parametrize("light", marked(EACH, {"directional", "point"}))
 @pytest.mark.parametrize("name", marked(TECHNIQUES, {*TECHNIQUES} - {"box, plane", "disk, early out"}))
 def test_visibility_by_an_exported_shader_is_ours(chain, name, light):
     language, draw = chain
@@ -142,6 +149,8 @@ def test_what_has_no_shader_is_refused(technique, message):
         to_shader(technique, LIGHTS["directional"](library_mesh("box")))
 
 
-def test_a_light_with_layers_is_refused():
-    with pytest.raises(ValueError, match="the light is a PointLight, whose map has several layers"):
-        to_shader(mapping(Nearest(), PLAIN), PointLight((0.0, 3.0, 0.0), 0.1, 10.0))
+def test_a_light_of_other_layers_is_refused():
+    camera = PinholeCamera((1.6, 1.4, 2.0), (0.0, 0.2, 0.0), fov_y=40, near=0.1, far=10)
+    cascades = shadow.Cascades().light(LIGHTS["directional"](library_mesh("box")), camera, (64, 64), None)
+    with pytest.raises(ValueError, match="which has no shader; expected a directional, a spot or a point light"):
+        to_shader(mapping(Nearest(), PLAIN), cascades)

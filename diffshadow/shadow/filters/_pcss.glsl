@@ -22,7 +22,7 @@ vec2 shadow_penumbra(ShadowLookup at, float receiver, float blocker) {
 // A stored depth and its weight, the fraction of the light that it blocks.
 vec2 shadow_blocker(sampler2D map, ShadowLookup at, ivec2 texel, float weight) {
     float blocks = weight * (1.0 - shadow_compared(map, at, texel));
-    return vec2(blocks, blocks * shadow_stored(map, texel));
+    return vec2(blocks, blocks * shadow_stored(map, at.layer, texel));
 }
 
 float shadow_filter(sampler2D map, ShadowLookup at) {

@@ -1,6 +1,6 @@
 """A technique as a shader."""
 
-from ...geometry import AbstractLight
+from ...geometry import AbstractLight, PointLight
 from ...settings.techniques import ShaderLanguage
 from .._receiver import half_step
 from .._shader import Constant, ShaderBias, ShaderPart, joined, number, text_of
@@ -20,7 +20,7 @@ def to_shader(technique: AbstractTechnique, light: AbstractLight, language: Shad
     **Arguments:**
 
     - `technique`: a `ShadowMapping` with a single map without silhouettes.
-    - `light`: a directional light or a spot light, as the map was drawn from.
+    - `light`: a directional, a spot or a point light, as the map was drawn from.
     - `language`: `"glsl"` (3.30 or ES 3.00), `"wgsl"`, or `"hlsl"` (shader model 5).
 
     **Raises** `ValueError` for a technique, a part or a light that has no shader.
@@ -44,17 +44,19 @@ def to_shader(technique: AbstractTechnique, light: AbstractLight, language: Shad
     if technique.map.silhouettes:
         raise ValueError("map.silhouettes is true, which has no shader; expected false: shaders compare stored depths")
     view = light.view()
-    if view.world_to_eye.ndim > 2 or view.eye_to_clip.ndim > 2:
+    is_cube = isinstance(light, PointLight)
+    if max(view.world_to_eye.ndim, view.eye_to_clip.ndim) > 2 and not is_cube:
         raise ValueError(
-            f"the light is a {type(light).__name__}, whose map has several layers; expected a directional light or a "
-            "spot light"
+            f"the light is a {type(light).__name__}, which has no shader; expected a directional, a spot or a point "
+            "light"
         )
     to, bias, filter = LANGUAGES[language], technique.bias.shader(), technique.filter.shader()
     fixed = technique.map.depth_format != "float32"
     constants = (
         Constant("NEAR", number(view.near), "distance of window depth 0 along the light's axis, in world units"),
         Constant("FAR", number(view.far), "of window depth 1"),
-        Constant("PERSPECTIVE", bool(view.is_perspective), "whether the light is a spot light"),
+        Constant("PERSPECTIVE", bool(view.is_perspective), "whether the light is a spot light or a point light"),
+        Constant("LAYERS", 6 if is_cube else 1, "of the map, one above the other"),
         Constant("FIXED_POINT", fixed, "whether the map stores whole numbers, such as DEPTH_COMPONENT24"),
         Constant(
             "HALF_STEP", number(half_step(technique.map.depth_format)), "half the difference of two of its depths"
@@ -72,6 +74,7 @@ def to_shader(technique: AbstractTechnique, light: AbstractLight, language: Shad
         technique.compare.shader(),
         ShaderPart((), text_of("_lookup.glsl")),
         filter,
+        ShaderPart((), text_of("_cube.glsl") if is_cube else ""),
         ShaderPart((), text_of("_shadow_mapping.glsl")),
     )
     whole = joined(parts)

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -68,8 +69,8 @@ def export_shader(
     return folder
 
 
-def _matrices(light: geometry.AbstractLight) -> dict[str, list[list[float]]]:
-    """The light's matrices, row by row, for column vectors."""
+def _matrices(light: geometry.AbstractLight) -> dict[str, list[Any]]:
+    """The light's matrices, row by row, for column vectors; of a point light, one for each face."""
     view = light.view()
     projection = np.asarray(view.eye_to_clip, np.float64)
     halved = np.diag([1.0, 1.0, 0.5, 1.0])
@@ -100,9 +101,11 @@ def _page(
             f"`SlopeScaledDepthBias = {factor_units[0]:g}, DepthBias = {factor_units[1]:g}`",
         )
     )
+    is_cube = [isinstance(light, geometry.PointLight) for light in scene.lights]
+    sizes = f"{width} x {height}" + (f"; {width} x {6 * height} for a point light" if any(is_cube) else "")
     rows = {
         "format": _FORMATS[settings.depth_format],
-        "size in texels": (f"{width} x {height}",) * 3,
+        "size in texels": (sizes,) * 3,
         "cleared to": ("1.0",) * 3,
         "depth test": ("`GL_LESS`", '`depthCompare: "less"`', "`D3D11_COMPARISON_LESS`"),
         "faces left out; counter-clockwise ones are in front": _CULLED[settings.cull],
@@ -155,6 +158,8 @@ def _page(
             "bias.",
             *(f"- `to_light`, in `{file}`: {way}." for file, way in ways.items()),
             "- `pixel`: whole numbers, counted from the picture's lower left pixel. Only disks of points use it.",
+            "- `layer`: 0. Of a point light, `shadow_layer(position - light)`, for which `world_to_eye` holds six "
+            "matrices: its six faces lie in one texture, one above the other, the first at the lower end.",
             "",
             "Numbers at the top of the shader are the technique's settings. Biases and radii in texels hold for a map "
             "of another size, too.",
@@ -168,25 +173,26 @@ def _way_of(light: geometry.AbstractLight) -> str:
     if light.is_directional:
         towards = np.asarray(light.towards(jnp.zeros(3)), np.float64)
         return f"the unit vector ({known(towards / np.linalg.norm(towards))})"
-    eye_to_world = np.linalg.inv(np.asarray(light.view().world_to_eye, np.float64))
-    return f"`normalize(light - position)`, where the light is at ({known(eye_to_world[:3, 3])})"
+    to_eye = np.asarray(light.view().world_to_eye, np.float64).reshape(-1, 4, 4)[0]
+    return f"`normalize(light - position)`, where the light is at ({known(np.linalg.inv(to_eye)[:3, 3])})"
 
 
 def _call(language: ShaderLanguage) -> list[str]:
     lines = {
         "glsl": [
             "vec3 normal = normalize(cross(dFdx(position), dFdy(position)));",
-            "float lit = shadow(map, world_to_eye, eye_to_clip, position, normal, to_light, floor(gl_FragCoord.xy));",
+            "vec2 pixel = floor(gl_FragCoord.xy);",
+            "float lit = shadow(map, world_to_eye, eye_to_clip, position, normal, to_light, pixel, 0);",
         ],
         "wgsl": [
             "let normal = normalize(cross(dpdy(position), dpdx(position)));",
             "let pixel = vec2f(floor(at.x), height - 1 - floor(at.y));  // at is @builtin(position)",
-            "let lit = shadow(map, world_to_eye, eye_to_clip, position, normal, to_light, pixel);",
+            "let lit = shadow(map, world_to_eye, eye_to_clip, position, normal, to_light, pixel, 0);",
         ],
         "hlsl": [
             "float3 normal = normalize(cross(ddy(position), ddx(position)));",
             "float2 pixel = float2(floor(at.x), height - 1 - floor(at.y));  // at is SV_Position",
-            "float lit = shadow(map, world_to_eye, eye_to_clip, position, normal, to_light, pixel);",
+            "float lit = shadow(map, world_to_eye, eye_to_clip, position, normal, to_light, pixel, 0);",
         ],
     }
     return [f"```{language}", *lines[language], "```"]
