@@ -40,7 +40,7 @@ WITHOUT = {
         fit.SHAPE_PHASES fit.Anneal fit.AtBound fit.Bound fit.End fit.FitResult fit.FittedShape fit.FrontPoint
         fit.Interval fit.Outcome fit.Precision fit.Profile fit.Search fit.ShapePhase fit.ShapeProblem fit.ShapeState
         fit.ShapeStep fit.ShapeView fit.Solver fit.Start fit.Step fit.Sureness fit.Training fit.TrainingPhase fit.fit
-        fit.fit_shape fit.mean_square_error fit.train""",
+        fit.fit_shape fit.hull_start fit.mean_square_error fit.train""",
 }
 """Public names without a derivative, by the reason."""
 
