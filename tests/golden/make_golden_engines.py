@@ -1,6 +1,6 @@
-"""Draws golden pictures with three.js and Babylon.js and stores them in the folder `engines` beside this script.
+"""Draws golden pictures with three.js, Babylon.js and PlayCanvas and stores them in the folder `engines` beside this script.
 
-    PYTHONPATH=. python tests/golden/make_golden_engines.py [three] [babylon]
+    PYTHONPATH=. python tests/golden/make_golden_engines.py [three] [babylon] [playcanvas]
 
 needs Node.js, its packages and Chromium; it says how to install what is missing. Per engine there is
 
@@ -25,11 +25,12 @@ sys.path.insert(0, str(HERE.parents[1] / "experiments"))
 
 from _babylon_cases import babylon_cases  # noqa: E402
 from _engine_scene import geometry  # noqa: E402
+from _playcanvas_cases import playcanvas_cases  # noqa: E402
 from _three_cases import three_cases  # noqa: E402
 from engines.engines import Drawing, draw  # noqa: E402
 from golden_engines import FOLDER, VISIBILITY_STEPS, pack, unpack  # noqa: E402
 
-CASES = {"three": three_cases, "babylon": babylon_cases}
+CASES = {"three": three_cases, "babylon": babylon_cases, "playcanvas": playcanvas_cases}
 OUTPUTS = ["mesh", "position", "normal", "map"]
 
 

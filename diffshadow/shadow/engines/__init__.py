@@ -10,6 +10,7 @@ from ._convert import engine_settings as engine_settings
 from ._convert import light_frame as light_frame
 from ._engine_map import EngineMap as EngineMap
 from ._light import EngineLight as EngineLight
+from ._playcanvas import PlayCanvas as PlayCanvas
 from ._plain import PlainBias as PlainBias
 from ._plain import castano_radius as castano_radius
 from ._plain import plain_bias as plain_bias

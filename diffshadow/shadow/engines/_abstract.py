@@ -2,7 +2,7 @@
 
 import abc
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -16,9 +16,11 @@ from ...geometry import AbstractLight, DirectionalLight, MatrixLight, PointLight
 from ...raster import Surface
 from ...settings import maps
 from ...settings.engines import Side
-from .._compare import AbstractCompare
+from .._compare import AbstractCompare, HardCompare
 from .._technique import AbstractTechnique
+from ._cameras import EngineCameras
 from ._engine_map import Casters, EngineMap, map_of, per_face
+from ._taps import Compared
 
 # The sine of the angle to the y axis below which a direction counts as vertical.
 _VERTICAL = 1e-9
@@ -63,6 +65,7 @@ class AbstractEngineShadows(AbstractTechnique):
 
     - `compare`: how depths are compared; the hard compare is the engine's own.
     - `resolution`: of the map, (height, width) in texels.
+    - `is_square`: whether maps of all lights must be square.
     - `subpixels`: steps to a texel; the engine's rasterizer places vertices at whole steps. Most graphics hardware
         has 256, Chromium's software rasterizer 16.
     """
@@ -70,14 +73,32 @@ class AbstractEngineShadows(AbstractTechnique):
     compare: eqx.AbstractVar[AbstractCompare]
     resolution: eqx.AbstractVar[Resolution]
     subpixels: eqx.AbstractVar[int]
+    is_square: ClassVar[bool] = False
 
     def _check_rules(self):
         check_value(f"{type(self).__name__}.resolution", self.resolution, maps.ShadowMap.each()["resolution"])
+        if self.is_square and self.resolution[0] != self.resolution[1]:
+            raise ValueError(f"{type(self).__name__}.resolution is {self.resolution}; expected a square map")
         check_instance("the compare", self.compare, AbstractCompare, "a compare, such as HardCompare()")
 
     def lays_out(self, name: str) -> bool:
         """Whether the number at the dotted path `name` changes the map."""
         return False
+
+    def compared(self, receiver: Array, per_texel: Array, is_strict: bool = False) -> Compared:
+        """What the compare of a stored value with the `receiver`'s gives.
+
+        The hard one is the engine's: equal values are lit, or shadowed if it `is_strict`. `per_texel` is the unit of a
+        soft one.
+        """
+        compare = self.compare
+        if isinstance(compare, HardCompare):
+            compare = HardCompare("less" if is_strict else "less_equal")
+        return lambda stored: compare(stored, receiver, per_texel)
+
+    def casters(self, scene: Scene) -> Casters:
+        """What is drawn into the map of a light of `scene`."""
+        return Casters.of(scene.meshes, self.casting_sides(scene))
 
     def drawn(
         self,
@@ -97,9 +118,7 @@ class AbstractEngineShadows(AbstractTechnique):
         - `offset`: for each mesh, the factor of its normal bias.
         - `is_mirrored`, `push`: see `map_of`.
         """
-        chosen = [(mesh, side) for mesh, side in zip(scene.meshes, sides, strict=True) if side is not None]
-        casters = Casters.of(*zip(*chosen, strict=True))
-        depth = map_of(casters, light, self.resolution, self.subpixels, is_mirrored, push)
+        depth = map_of(Casters.of(scene.meshes, sides), light, self.resolution, self.subpixels, is_mirrored, push)
         return self.with_depth(depth, scene, light, offset)
 
     @abc.abstractmethod
@@ -166,8 +185,10 @@ def within(state: EngineMap, surface: Surface) -> Mask:
     if isinstance(state.light, PointLight):
         along = jnp.max(jnp.abs(surface.position - state.light.position), axis=-1)
         return (along >= state.light.near) & (along <= state.light.far)
-    place = Place.of(surface.position, state.light.view(), state.resolution)
-    return place.in_window & (place.z >= 0) & (place.z <= 1)
+    view = state.light.view().facing(state.light.layer(surface.position))
+    place = Place.of(surface.position, view, state.resolution)
+    inside = place.in_window & (place.z >= 0) & (place.z <= 1)
+    return inside & state.light.is_shadowed(surface.position) if isinstance(state.light, EngineCameras) else inside
 
 
 def engine_light(light: AbstractLight, nudge: float) -> AbstractLight:
@@ -182,13 +203,18 @@ def engine_light(light: AbstractLight, nudge: float) -> AbstractLight:
     if isinstance(light, PointLight | MatrixLight):
         return light
     if not isinstance(light, DirectionalLight | SpotLight):
-        raise ValueError(
-            f"the light is a {type(light).__name__}; expected a directional, spot, point or matrix light, as in engines"
-        )
+        raise refused_light(light)
     view, given = light.view(), light.center if isinstance(light, DirectionalLight) else light.position
     rows, upright = upright_axes(light.direction, nudge), np.eye(4)
     upright[:3, :3], upright[:3, 3] = rows, -rows @ np.asarray(given, np.float64)
     return MatrixLight(upright, view.eye_to_clip, view.is_perspective)
+
+
+def refused_light(light: AbstractLight) -> ValueError:
+    """The error that names a light that no engine has."""
+    return ValueError(
+        f"the light is a {type(light).__name__}; expected a directional, spot, point or matrix light, as in engines"
+    )
 
 
 def upright_axes(direction: Any, nudge: float) -> Float[HostArray, "3 3"]:

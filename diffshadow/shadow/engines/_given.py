@@ -193,3 +193,60 @@ def _parallel(
     center = np.asarray(position, np.float64) + (left + right) / 2 * axes[0] + (top + bottom) / 2 * axes[1]
     up = axes[1] if is_given and is_vertical(direction) else (0.0, 1.0, 0.0)
     return DirectionalLight(direction, center, (right - left, top - bottom), *ends, angular_radius, up)
+
+
+# --- PlayCanvas ---
+
+
+def playcanvas_directional_light(
+    direction: Point, *, angular_radius: float = scene.DirectionalLight.angular_radius
+) -> DirectionalLight:
+    """A directional light of PlayCanvas, and of other engines that fit its cameras to what the view camera sees.
+
+    **Arguments:**
+
+    - `direction`: in which the light shines, (3,).
+    - `angular_radius`: of the light's disk, in degrees, for references; the engine has none.
+
+    **Raises** what `DirectionalLight` raises.
+    """
+    return DirectionalLight(direction, (0.0, 0.0, 0.0), (1.0, 1.0), 0.0, 1.0, angular_radius)
+
+
+def playcanvas_spot_light(
+    position: Point,
+    direction: Point,
+    *,
+    range: float = 10.0,
+    outer_cone_angle: float = 45.0,
+    inner_cone_angle: float = 40.0,
+    radius: float = scene.SpotLight.radius,
+) -> SpotLight:
+    """PlayCanvas' spot light; defaults are the engine's.
+
+    **Arguments:**
+
+    - `position`, `direction`: of the light's entity, and in which it shines, (3,), world units.
+    - `range`: `light.range`, world units; near is a thousandth of it.
+    - `outer_cone_angle`, `inner_cone_angle`: from the axis, degrees.
+    - `radius`: of the light's disk, in world units, for references; the engine has none.
+
+    **Raises** what `SpotLight` raises.
+    """
+    return SpotLight(position, direction, outer_cone_angle, range / 1000, range, radius, inner_cone_angle)
+
+
+def playcanvas_omni_light(
+    position: Point, *, range: float = 10.0, radius: float = scene.PointLight.radius
+) -> PointLight:
+    """PlayCanvas' omni light; the default is the engine's.
+
+    **Arguments:**
+
+    - `position`: of the light's entity, (3,), world units.
+    - `range`: `light.range`, world units; near is a thousandth of it.
+    - `radius`: of the light's sphere, in world units, for references; the engine has none.
+
+    **Raises** what `PointLight` raises.
+    """
+    return PointLight(position, range / 1000, range, radius)

@@ -9,14 +9,13 @@ from typing import NamedTuple
 from ...geometry import AbstractLight
 from ..biases import OffsetProfile
 from ..filters._castano import CASTANO_KERNELS
-from ._babylon import BabylonJs
+from ._babylon import TENTS, BabylonJs
 from ._convert import OFFSET_PROFILES, LightFrame, light_frame
 from ._radius import POISSON_RADIUS
 from ._three import ThreeJs
 
 # The radius of a disk with the same standard deviation as a box from -1 to 1.
 _BOX = 2 / math.sqrt(3)
-_SIZES = {"LOW": 1, "MEDIUM": 3, "HIGH": 5}
 
 
 class PlainBias(NamedTuple):
@@ -83,7 +82,7 @@ def _babylon_radius(technique: BabylonJs, frame: LightFrame) -> float | None:
         case "POISSONSAMPLING":
             return float(technique.blur_scale) * (1.0 if frame.kind == "point" else POISSON_RADIUS)
         case "PCF":
-            return castano_radius(_SIZES[technique.quality])
+            return castano_radius(TENTS[technique.quality])
     return None
 
 
