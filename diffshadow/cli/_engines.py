@@ -10,8 +10,8 @@ from ._jax import start_jax
 
 
 @app.command
-def convert(config: Path, /, *overrides: str) -> None:
-    """Prints the bias and the radius of CONFIG in the units of three.js, Babylon.js, Godot, Bevy, Filament and Unity.
+def convert(config: Path, /, *overrides: str, engine: EngineName | None = None) -> None:
+    """Prints the bias and the radius of CONFIG in the units of engines, or the code for one of them.
 
     Of a finished fit, it converts the fitted values. To a bias that engines lack, such as a slope or a receiver plane,
     it fits the shadows of three.js and Babylon.js, which takes as long as two fits, and says how to fit what another
@@ -21,13 +21,17 @@ def convert(config: Path, /, *overrides: str) -> None:
 
     Example: `diffshadow convert configs/quickstart.yaml bias.slope=0 bias.constant=1.5`
 
+    Example: `diffshadow convert runs/quickstart --engine bevy`
+
     Parameters
     ----------
     config
-        YAML file with technique type shadow_map, three.js or babylon.js, mesh file, folder of a finished run or
+        YAML file with technique type shadow_map or an engine's, mesh file, folder of a finished run or
         builtin:NAME.
     overrides
         KEY=VALUE pairs that replace values of the file, such as `bias.constant=2`.
+    engine
+        The only engine to convert to: its finished code is printed.
     """
     file, origin = settings_file(config)
     settings = load_config(file, overrides)
@@ -36,7 +40,7 @@ def convert(config: Path, /, *overrides: str) -> None:
     start_jax()
     from .. import study
 
-    study.convert(settings, console=Console(), origin=origin, source=config, overrides=overrides)
+    study.convert(settings, console=Console(), origin=origin, source=config, overrides=overrides, engine=engine)
 
 
 @app.command

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from .._arithmetic import with_gradient_of
-from .._types import Scalar
 from ._pages import Pages, Tile
 from ._transforms import transform_points, transform_vectors
 from ._warp import Warp

@@ -1,9 +1,10 @@
 """Settings of the techniques that draw shadows as real-time engines do, in the engines' own names and units."""
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from ._settings import Fitted, Form, Limits, Unit
 from .quantities import FARTHEST, Fraction, Texels
+from .scene import LightKind
 from .techniques import Technique
 
 Side = Literal["front", "back", "double"]
@@ -30,7 +31,7 @@ BabylonQuality = Literal["HIGH", "MEDIUM", "LOW"]
 """A `QUALITY_` constant of the shadow generator."""
 PlayCanvasShadow = Literal["PCF1_32F", "PCF3_32F", "PCF5_32F"]
 """A `SHADOW_` constant of PlayCanvas, without that prefix."""
-EngineName = Literal["godot", "bevy", "filament", "unity", "three.js", "babylon.js"]
+EngineName = Literal["godot", "bevy", "filament", "unity", "three.js", "babylon.js", "playcanvas"]
 """An engine, as one names it to the command."""
 ENGINES: dict[EngineName, str] = {
     "godot": "Godot 4",
@@ -39,11 +40,12 @@ ENGINES: dict[EngineName, str] = {
     "unity": "Unity URP",
     "three.js": "three.js",
     "babylon.js": "Babylon.js",
+    "playcanvas": "PlayCanvas",
 }
 """The engines, and how sentences name them."""
 POLYGON_OFFSETS: dict[EngineName, tuple[float, float]] = {"filament": (2.0, 0.5), "unity": (2.5, 1.0)}
 """The factor and the units of the polygon offset with which engines draw their maps beside the bias of a light."""
-ImportedTechnique = Literal["three.js", "shadow_map"]
+ImportedTechnique = Literal["three.js", "shadow_map", "playcanvas"]
 """The technique of a configuration that is made of an engine's scene."""
 
 _Sides = Annotated[Sides, Form("front, back or double, or a list with one of them for each mesh")]
@@ -55,9 +57,27 @@ _Length = Annotated[float, Limits(-FARTHEST, FARTHEST), Unit("world units")]
 
 class Engine(Technique):
     """The shadows of an engine. Its map has the resolution of the section shadow_map; filter, bias and compare are the
-    engine's own."""
+    engine's own.
+
+    - `biases`: the keys of its depth bias and its normal bias, and `bias_names` what the engine calls them.
+    - `filter_key`: the key that chooses its filter, and `filters` those that are fitted, of directional and spot lights
+        and of point lights.
+    - `kinds`: of the lights that it draws.
+    - `has_square_maps`: whether the maps of all lights must be square.
+    - `default_size`: of its maps, texels along a side.
+    - `suffix`: of a file in its users' language.
+    """
 
     is_whole = True
+    biases: ClassVar[tuple[str, str]] = ("bias", "normal_bias")
+    bias_names: ClassVar[tuple[str, str]] = ("bias", "normalBias")
+    filter_key: ClassVar[str]
+    filters: ClassVar[tuple[str, ...]]
+    point_filters: ClassVar[tuple[str, ...]]
+    kinds: ClassVar[tuple[LightKind, ...]] = ("directional", "spot", "point")
+    has_square_maps: ClassVar[bool] = False
+    default_size: ClassVar[int]
+    suffix: ClassVar[str] = "js"
     subpixels: Annotated[
         int,
         Limits(1, 1 << 16),
@@ -68,6 +88,12 @@ class Engine(Technique):
 
 class ThreeJs(Engine):
     """The shadows of three.js r187, by the names, units and defaults of light.shadow and renderer.shadowMap."""
+
+    filter_key = "shadow_type"
+    filters = ("BasicShadowMap", "PCFShadowMap", "VSMShadowMap")
+    # The engine draws no VSM of a point light.
+    point_filters = ("BasicShadowMap", "PCFShadowMap")
+    default_size = 512
 
     type: Literal["three.js"] = "three.js"
     shadow_type: Annotated[ShadowType, "renderer.shadowMap.type"] = "PCFShadowMap"
@@ -92,6 +118,13 @@ class ThreeJs(Engine):
 class BabylonJs(Engine):
     """The shadows of Babylon.js 9.34 (WebGL2), by the names, units and defaults of its ShadowGenerator. The map must be
     square."""
+
+    filter_key = "filter"
+    filters = ("NONE", "POISSONSAMPLING", "PCF", "PCSS")
+    # Under a point light the engine draws the others as POISSONSAMPLING.
+    point_filters = ("NONE", "POISSONSAMPLING")
+    has_square_maps = True
+    default_size = 1024
 
     type: Literal["babylon.js"] = "babylon.js"
     filter: Annotated[BabylonFilter, "the generator's FILTER_ constant"] = "NONE"
@@ -135,6 +168,15 @@ class BabylonJs(Engine):
 class PlayCanvas(Engine):
     """The shadows of PlayCanvas 2.23 (WebGL2, without clustered lighting), by the names, units and defaults of its
     LightComponent. The map must be square."""
+
+    biases = ("shadow_bias", "normal_offset_bias")
+    bias_names = ("shadowBias", "normalOffsetBias")
+    filter_key = "shadow_type"
+    filters = ("PCF1_32F", "PCF3_32F", "PCF5_32F")
+    # The engine draws PCF5 of a point light as PCF3.
+    point_filters = ("PCF1_32F", "PCF3_32F")
+    has_square_maps = True
+    default_size = 1024
 
     type: Literal["playcanvas"] = "playcanvas"
     shadow_type: Annotated[PlayCanvasShadow, "shadowType, a SHADOW_ constant"] = "PCF3_32F"

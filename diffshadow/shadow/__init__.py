@@ -29,9 +29,19 @@ from .biases import (
     ReceiverPlane,
     SlopeBias,
 )
+from .engines import ENGINE_TECHNIQUES as ENGINE_TECHNIQUES
 from .engines import GODOT_QUALITIES as GODOT_QUALITIES
 from .engines import OFFSET_PROFILES as OFFSET_PROFILES
-from .engines import AbstractEngineShadows, BabylonJs, EngineLight, EngineMap, PlayCanvas, ThreeJs, engine_code, engine_settings
+from .engines import (
+    AbstractEngineShadows,
+    BabylonJs,
+    EngineLight,
+    EngineMap,
+    PlayCanvas,
+    ThreeJs,
+    engine_code,
+    engine_settings,
+)
 from .engines import EngineSetting as EngineSetting
 from .engines import LightFrame as LightFrame
 from .engines import PlainBias as PlainBias

@@ -2,7 +2,10 @@
 
 import jax.numpy as jnp
 
-from diffshadow.shadow import BabylonJs, EngineMap, SoftCompare, ThreeJs
+from diffshadow.geometry import MatrixLight
+from diffshadow.shadow import BabylonJs, EngineMap, PlayCanvas, SoftCompare, ThreeJs
+from diffshadow.shadow.engines._cameras import EngineCameras
+from diffshadow.shadow.engines._playcanvas import camera_of
 
 from . import numbers, row, surface_of
 from .of_geometry import lamp, spot, sun
@@ -14,7 +17,8 @@ def _shadowed(name, at, make, light, covers="", layers=(), low=0.35, high=0.65, 
 
     @row(name, (*at, 0.1, -0.2, 0.05) if moves else at, covers, step=1e-6, tolerance=1e-5)
     def _():
-        state = EngineMap(numbers(60, *layers, 12, 12, low=low, high=high), light(), jnp.ones(1), jnp.ones(1, bool))
+        depth, slope = numbers(60, *layers, 12, 12, low=low, high=high), numbers(61, *layers, 12, 12, low=0, high=0.01)
+        state = EngineMap(depth, light(), jnp.ones(1), jnp.ones(1, bool), slope=slope, drawn_with=jnp.zeros(()))
         place, normal = points()
         count = len(at)
         by = (lambda x: x[count:]) if moves else (lambda x: 0.0)
@@ -56,3 +60,14 @@ _of_babylon(
 )
 _of_babylon("EXPONENTIALSHADOWMAP", covers="BabylonJs.depth_scale", bias=0.02, depth_scale=7.0)
 _of_babylon("CLOSEEXPONENTIALSHADOWMAP", bias=0.02, depth_scale=7.0)
+
+
+def _cameras():
+    view = spot().view()
+    return EngineCameras.of([camera_of(MatrixLight(view.world_to_eye, view.eye_to_clip))], True)
+
+
+_PLAYCANVAS = "PlayCanvas.shadow_bias PlayCanvas.normal_offset_bias shadow.PlayCanvas"
+_playcanvas = lambda *x: PlayCanvas(*x, compare=SoftCompare(2.0), shadow_type="PCF5_32F", resolution=(12, 12))
+_shadowed("PlayCanvas under a spot light", (0.1, 0.03, 0.8), _playcanvas, _cameras, _PLAYCANVAS)
+_shadowed("PlayCanvas under a point light", (0.1, 0.03), _playcanvas, lamp, layers=(6,), low=0.1, high=0.5)

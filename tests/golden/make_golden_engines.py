@@ -1,4 +1,4 @@
-"""Draws golden pictures with three.js, Babylon.js and PlayCanvas and stores them in the folder `engines` beside this script.
+"""Draws golden pictures with engines and stores them in the folder `engines` beside this script.
 
     PYTHONPATH=. python tests/golden/make_golden_engines.py [three] [babylon] [playcanvas]
 

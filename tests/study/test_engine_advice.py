@@ -16,6 +16,7 @@ from diffshadow import study
 from diffshadow.config import ConfigError, load_config
 from diffshadow.settings.engines import ENGINES, POLYGON_OFFSETS
 from diffshadow.settings.rules import ENGINE_RULES
+from diffshadow.shadow import ENGINE_TECHNIQUES
 from diffshadow.study.advice import _advise as module
 from diffshadow.study.advice._engines import engine_code
 from diffshadow.study.advice._times import times_of
@@ -61,6 +62,7 @@ HAS = {
     "unity": (["shadowBias", "shadowNormalBias"], ["Hard", "Soft, Low", "Soft, Medium", "Soft, High"]),
     "three.js": (["bias", "normalBias"], ["BasicShadowMap", "PCFShadowMap", "VSMShadowMap"]),
     "babylon.js": (["bias", "normalBias"], ["NONE", "POISSONSAMPLING", "PCF", "PCSS"]),
+    "playcanvas": (["shadowBias", "normalOffsetBias"], ["PCF1_32F", "PCF3_32F", "PCF5_32F"]),
 }
 
 
@@ -72,9 +74,10 @@ def test_an_engines_filters_and_biases_are_combined(engine):
     assert found.engine == engine
     for technique, run in zip(found.techniques, found.sweep.runs, strict=True):
         config = run.config
-        is_exact = engine.endswith(".js")
+        is_exact = engine in ENGINE_TECHNIQUES
         assert config.technique.type == (engine if is_exact else "shadow_map")
-        names = ("technique.bias", "technique.normal_bias") if is_exact else ("bias.constant", "bias.normal_offset")
+        own = [f"technique.{key}" for key in ENGINE_TECHNIQUES[engine].settings.biases] if is_exact else []
+        names = own or ("bias.constant", "bias.normal_offset")
         fitted = [name for name, used in zip(names, (bias, offset), strict=True) if used in technique.bias.split(" + ")]
         assert [name for name in config.fit.parameters if name in names] == fitted
         # What is not fitted is 0.

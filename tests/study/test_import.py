@@ -16,7 +16,7 @@ from diffshadow.geometry import PointLight
 from diffshadow.io import FileError, read_scene
 from diffshadow.settings import engines
 from diffshadow.shadow import EngineLight, ThreeJs
-from diffshadow.shadow.engines._abstract import engine_light
+from diffshadow.shadow.engines._axes import engine_light
 from diffshadow.study import import_scene
 
 FOLDER = Path(__file__).parents[1] / "golden" / "imports"

@@ -12,13 +12,14 @@ from jaxtyping import Array, Float
 from ..._arithmetic import as_float, as_number, concrete, dot, in_unit_range, normalize, safe_norm
 from ..._checks import as_tuple
 from ..._types import AsScalar, Resolution, Scalar, Visibility
-from ...geometry import AbstractLight, Mesh, PointLight, Scene
+from ...geometry import WORLD, AbstractLight, Mesh, Origin, PointLight, Scene
 from ...raster import Surface
 from ...settings import maps
 from ...settings.engines import BabylonFilter, BabylonQuality, Side
 from ...settings.engines import BabylonJs as Settings
 from .._compare import AbstractCompare, HardCompare
-from ._abstract import AbstractEngineShadows, Place, engine_light
+from ._abstract import AbstractEngineShadows, Place
+from ._axes import engine_light
 from ._babylon_filters import exponentially, falloff, random_turn
 from ._babylon_maps import (
     box_blurred,
@@ -28,10 +29,13 @@ from ._babylon_maps import (
     metric_in_cube,
     metric_in_window,
 )
-from ._babylon_taps import POISSON, POISSON_32, POISSON_64, POISSON_CUBE
+from ._babylon_taps import POISSON, POISSON_32, POISSON_64, POISSON_CUBE, POISSON_RADIUS
+from ._code import babylon_js_code
+from ._convert import OFFSET_PROFILES, LightFrame, PlainBias
 from ._engine_map import EngineMap, each_of
 from ._given import BABYLON_NUDGE, babylon_directional_light, babylon_point_light, babylon_spot_light
-from ._taps import Compared, TentSize, mean_of, same, tent
+from ._light import EngineLight
+from ._taps import Compared, TentSize, castano_radius, mean_of, same, tent
 from ._textures import as_half, bilinear, bilinear_in_cube, nearest, nearest_in_cube, place_in_cube, with_borders
 
 TENTS: dict[BabylonQuality, TentSize] = {"LOW": 1, "MEDIUM": 3, "HIGH": 5}
@@ -113,8 +117,6 @@ class BabylonJs(AbstractEngineShadows):
     spot_light = staticmethod(babylon_spot_light)
     point_light = staticmethod(babylon_point_light)
 
-    is_square: ClassVar = True
-
     def lays_out(self, name: str) -> bool:
         return name == "normal_bias" or (name == "blur_scale" and self.filter.startswith("BLUR"))
 
@@ -168,6 +170,41 @@ class BabylonJs(AbstractEngineShadows):
         return tuple(
             (shown if is_culled else "double") if does else None for is_culled, does in zip(culling, casts, strict=True)
         )
+
+    def plain(self, frame: LightFrame, distance: float) -> PlainBias:
+        offset = float(self.normal_bias) / frame.texel
+        is_point = frame.kind == "point"
+        bias = float(self.bias)
+        if self.filter in ("PCF", "PCSS") and not is_point:
+            shift, power = bias / 2 / frame.slope(distance), 2
+        else:
+            # Linear in the distance.
+            shift, power = bias * (frame.near + frame.far if is_point else frame.far - frame.near), 0
+        return PlainBias(shift, power, offset, 0, OFFSET_PROFILES["Babylon.js"], self._radius(frame))
+
+    def _radius(self, frame: LightFrame) -> float | None:
+        kind = self.filter
+        if frame.kind == "point" and kind in ("PCF", "PCSS"):
+            kind = "POISSONSAMPLING"
+        match kind:
+            case "NONE":
+                return 0.0
+            case "POISSONSAMPLING":
+                return float(self.blur_scale) * (1.0 if frame.kind == "point" else POISSON_RADIUS)
+            case "PCF":
+                return castano_radius(TENTS[self.quality])
+        return None
+
+    def biased(self, frame: LightFrame, shift: float, offset: float, distance: float) -> "BabylonJs":
+        is_point = frame.kind == "point"
+        if self.filter in ("PCF", "PCSS") and not is_point:
+            bias = 2 * shift * frame.slope(distance)
+        else:
+            bias = shift / (frame.near + frame.far if is_point else frame.far - frame.near)
+        return dataclasses.replace(self, bias=bias, normal_bias=offset)
+
+    def code(self, given: EngineLight, distances: tuple[float, float], origin: Origin = WORLD) -> list[str]:
+        return babylon_js_code(self, given, distances, origin)
 
     def visibility(self, state: EngineMap, surface: Surface) -> Visibility:
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.

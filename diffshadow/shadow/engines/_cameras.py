@@ -36,7 +36,8 @@ class CameraOfLight(NamedTuple):
 class EngineCameras(AbstractLight):
     """A light with the cameras that an engine gives it: one, or one for each cascade.
 
-    - `world_to_eye`, `eye_to_clip`, `near`, `far`, `to_clip`, `to_window`: of each of the k cameras, see `CameraOfLight`.
+    - `world_to_eye`, `eye_to_clip`, `near`, `far`, `to_clip`, `to_window`: of each of the k cameras, see
+        `CameraOfLight`.
     - `camera`: the view of the camera that they are fitted to; None if they are not fitted.
     - `ends`: (k,), the depths along its axis up to which each is looked up, world units; beyond the last there are no
         shadows. None for a light without such ends.
@@ -61,9 +62,14 @@ class EngineCameras(AbstractLight):
         camera: AbstractCamera | None = None,
         ends: Any = None,
     ) -> "EngineCameras":
-        fields = (np.stack(each) for each in zip(*cameras, strict=True))
         view = None if camera is None else camera.view()
-        return cls(*fields, view, None if ends is None else as_float(ends), is_perspective)
+        of = lambda name: np.stack([getattr(each, name) for each in cameras])
+        return cls(
+            *(of(name) for name in CameraOfLight._fields),
+            camera=view,
+            ends=None if ends is None else as_float(ends),
+            is_perspective=is_perspective,
+        )
 
     @property
     def count(self) -> int:
@@ -77,8 +83,14 @@ class EngineCameras(AbstractLight):
         return -jnp.sum(turn[:, :3] * turn[:, 3:], axis=0)
 
     def view(self) -> View:
-        fields = self.world_to_eye, self.eye_to_clip, self.near, self.far
-        return View(*(each[0] if self.count == 1 else each for each in fields), self.is_perspective)
+        if self.count == 1:
+            return self.first
+        return View(self.world_to_eye, self.eye_to_clip, self.near, self.far, self.is_perspective)
+
+    @property
+    def first(self) -> View:
+        """The view of the first camera."""
+        return View(self.world_to_eye[0], self.eye_to_clip[0], self.near[0], self.far[0], self.is_perspective)
 
     def layer(self, points: Float[Array, "*n 3"]) -> Int[Array, "*n"] | None:
         if self.count == 1:
@@ -167,7 +179,7 @@ def inverse_pose(axes: Float[HostArray, "3 3"], eye: Any) -> Float[HostArray, "4
     each stored in single precision."""
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = np.transpose(axes), np.asarray(eye, np.float64)
-    return np.linalg.inv(np.float32(pose).astype(np.float64)).astype(np.float32)
+    return np.linalg.inv(pose.astype(np.float32).astype(np.float64)).astype(np.float32)
 
 
 def parallel_projection(half: float, near: float, far: float) -> Float[HostArray, "4 4"]:
@@ -193,9 +205,9 @@ def viewport(x: float, y: float, size: float) -> Float[HostArray, "4 4"]:
 
 def in_single(*matrices: HostArray) -> Float[HostArray, "4 4"]:
     """The product of `matrices`, of which each, and each product from the right on, is stored in single precision."""
-    product = np.float32(matrices[-1])
+    product = np.asarray(matrices[-1], np.float32)
     for matrix in matrices[-2::-1]:
-        product = (np.float32(matrix).astype(np.float64) @ product.astype(np.float64)).astype(np.float32)
+        product = (np.asarray(matrix, np.float32).astype(np.float64) @ product.astype(np.float64)).astype(np.float32)
     return product
 
 

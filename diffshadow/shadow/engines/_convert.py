@@ -11,7 +11,8 @@ from ..._types import Resolution
 from ...geometry import AbstractLight, PointLight
 from ...settings.scene import LightKind
 from ..biases import OffsetProfile
-from ._abstract import engine_light
+from ._axes import engine_light
+from ._cameras import EngineCameras
 from ._light import NO_NUDGE
 
 
@@ -67,6 +68,23 @@ class _Common(NamedTuple):
         return note if self.offset_power in (None, power) or self.m == 0 else f"{note}; {_AT}"
 
 
+class PlainBias(NamedTuple):
+    """A bias without an engine's unit.
+
+    - `shift`: towards the light, in world units; `power`: of the distance with which it grows.
+    - `offset`: along normals, in texels; `offset_power`: of the distance with which its length grows; `profile`: how it
+        grows with the angle to the light.
+    - `radius`: of a disk of taps that is as wide as the filter, in texels; None for a filter without such a width.
+    """
+
+    shift: float
+    power: int
+    offset: float
+    offset_power: int
+    profile: OffsetProfile
+    radius: float | None
+
+
 class LightFrame(NamedTuple):
     """A light's camera, at the distance d along its axis.
 
@@ -79,6 +97,11 @@ class LightFrame(NamedTuple):
     near: float
     far: float
 
+    def slope(self, distance: float) -> float:
+        """Window depth per world unit at the `distance` along the axis."""
+        depth = self.far - self.near
+        return 1 / depth if self.kind == "directional" else self.far * self.near / (depth * distance**2)
+
 
 def light_frame(light: AbstractLight, resolution: Resolution, distance: float) -> LightFrame:
     """The camera of a light of the engines with a map of `resolution`; `distance` is as for `engine_settings`.
@@ -90,7 +113,7 @@ def light_frame(light: AbstractLight, resolution: Resolution, distance: float) -
         raise ValueError(f"the distance is {distance}; expected world units in front of the light")
     if isinstance(light, PointLight):
         return LightFrame("point", 2 * distance / min(resolution), float(light.near), float(light.far))
-    view = light.view()
+    view = light.first if isinstance(light, EngineCameras) else light.view()
     at_unit = math.sqrt(4 / float(view.eye_to_clip[0, 0] * view.eye_to_clip[1, 1]) / math.prod(resolution))
     texel = at_unit * (distance if view.is_perspective else 1)
     kind = "spot" if view.is_perspective else "directional"

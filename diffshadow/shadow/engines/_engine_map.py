@@ -17,7 +17,6 @@ from ...geometry import AbstractLight, Mesh, PointLight, Scene, Textures, View, 
 from ...raster import Surface, at_steps, barycentrics, interpolate, rasterize, rasterize_depth
 from ...settings.engines import Side
 
-
 # The least step of depths from 1/2 to 1.
 _STEP = 2.0**-24
 
@@ -240,12 +239,14 @@ def _steepness(corners: Float[Array, "h w 3 4"], resolution: Resolution) -> Floa
     one, two, three = (corners[..., k, :][..., jnp.array([0, 1, 3])] for k in range(3))
     across = jnp.cross(two, three), jnp.cross(three, one), jnp.cross(one, two)
     determinant = jnp.sum(one * across[0], axis=-1)
-    plane = sum(corners[..., k, 2:3] * across[k] for k in range(3))
+    plane = corners[..., 0, 2:3] * across[0] + corners[..., 1, 2:3] * across[1] + corners[..., 2, 2:3] * across[2]
     a, b = (jnp.abs(safe_divide(plane[..., k], determinant)) for k in (0, 1))
     return jnp.maximum(a / width, b / height)
 
 
-def distance_map_of(casters: Casters, light: PointLight, resolution: Resolution, subpixels: int) -> Float[Array, "6 n n"]:
+def distance_map_of(
+    casters: Casters, light: PointLight, resolution: Resolution, subpixels: int
+) -> Float[Array, "6 n n"]:
     """The distance from a point light over its far that each texel sees, at most 1, and 1 where it sees nothing; as a
     shader writes it per texel. Arguments are as for `map_of`."""
     clip = _snapped(cube_view(light), casters.vertices, resolution, subpixels, False, as_float(0.0))

@@ -10,7 +10,7 @@ from ...geometry import DirectionalLight, PointLight, SpotLight
 from ...settings import scene
 from ...settings.maps import ShadowMap
 from ...settings.scene import ShadowCamera
-from ._abstract import is_vertical, upright_axes
+from ._axes import is_vertical, upright_axes
 
 Point = Sequence[float] | HostArray | Vec3
 """x, y and z, world units."""

@@ -1,25 +1,36 @@
 """The shadows of PlayCanvas (2.23, WebGL2, without clustered lighting)."""
 
 import dataclasses
+import math
 from collections.abc import Sequence
-from collections.abc import Sequence
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..._arithmetic import as_number, concrete, dot, in_unit_range, normalize, safe_norm
+from ..._arithmetic import as_number, dot, in_unit_range, normalize, safe_norm
 from ..._checks import as_tuple
-from ..._types import AsScalar, HostArray, Resolution, Scalar, Visibility
-from ...geometry import AbstractLight, DirectionalLight, MatrixLight, Mesh, PointLight, Scene, SpotLight
+from ..._types import AsScalar, HostArray, Resolution, Visibility
+from ...geometry import (
+    WORLD,
+    AbstractLight,
+    DirectionalLight,
+    MatrixLight,
+    Mesh,
+    Origin,
+    PointLight,
+    Scene,
+    SpotLight,
+)
 from ...raster import Surface
 from ...settings import maps
 from ...settings.engines import PlayCanvas as Settings
 from ...settings.engines import PlayCanvasShadow, Side, Sides
 from .._compare import AbstractCompare, HardCompare
-from ._abstract import AbstractEngineShadows, refused_light, upright_axes
+from ._abstract import AbstractEngineShadows
+from ._axes import refused_light, upright_axes
 from ._cameras import (
     QUARTERS,
     CameraOfLight,
@@ -35,10 +46,12 @@ from ._cameras import (
     split_depths,
     viewport,
 )
-from ._engine_map import Casters, EngineMap, distance_map_of, each_of, sloped_map_of
+from ._code import about, number, place
+from ._convert import LightFrame, PlainBias, light_frame
+from ._engine_map import EngineMap, distance_map_of, each_of, sloped_map_of
 from ._given import playcanvas_directional_light, playcanvas_omni_light, playcanvas_spot_light
-from ._light import plain
-from ._taps import TentSize, mean_of, tent
+from ._light import EngineLight, plain
+from ._taps import TentSize, castano_radius, mean_of, tent
 from ._textures import bilinear_in_cube, place_in_cube, rounded, with_borders
 
 _WHOLE = viewport(0.0, 0.0, 1.0)
@@ -51,6 +64,8 @@ _SLOPES, _PARTS = 10.0, 0.01
 _FARTHEST, _NEAR = 0.99999, 1e-3
 # A light that is weaker than this part casts no shadow.
 _FAINT = 1e-5
+# Bound of the normal offset in a fit.
+_MOST_TEXELS = 4.0
 _TETRAHEDRON = np.array([(1, 1, 1), (-1, -1, 1), (-1, 1, -1), (1, -1, -1)], np.float32)
 # Of the camera of a directional light: its near plane, and the room before the nearest caster.
 _FIRST, _ROOM = 0.01, 0.1
@@ -105,8 +120,6 @@ class PlayCanvas(AbstractEngineShadows):
     spot_light = staticmethod(playcanvas_spot_light)
     omni_light = staticmethod(playcanvas_omni_light)
 
-    is_square: ClassVar = True
-
     def prepare(self, scene: Scene, surface: Surface | None = None) -> EngineMap:
         """The map of the scene's only light. It does not depend on `surface`.
 
@@ -119,7 +132,9 @@ class PlayCanvas(AbstractEngineShadows):
             depth = distance_map_of(casters, light, self.resolution, self.subpixels)
             return self._state(jnp.where(depth < 1, jnp.minimum(depth, _FARTHEST), 1), scene, light)
         factor = _SLOPES * self.shadow_bias
-        drawn = sloped_map_of(casters, light.clip(casters.vertices), self._size_of(light), self.subpixels, factor, factor)
+        drawn = sloped_map_of(
+            casters, light.clip(casters.vertices), self._size_of(light), self.subpixels, factor, factor
+        )
         return dataclasses.replace(self._state(drawn.depth, scene, light), slope=drawn.slope, drawn_with=factor)
 
     def from_map(self, stored: Any, scene: Scene) -> EngineMap:
@@ -166,12 +181,9 @@ class PlayCanvas(AbstractEngineShadows):
                 view, projection = inverse_pose(axes, plain(light.position)), cone_projection(tangent, near, far)
                 return EngineCameras.of([_camera(view, projection, near, far)], True)
             case MatrixLight():
-                given = light.view()
-                matrices = (np.asarray(each, np.float64) for each in (light.world_to_eye, light.eye_to_clip))
-                one = _camera(*matrices, float(given.near), float(given.far))
                 is_spot = light.is_perspective
                 ends = None if is_spot else [self._end(scene)]
-                return EngineCameras.of([one], is_spot, None if is_spot else scene.camera, ends)
+                return EngineCameras.of([camera_of(light)], is_spot, None if is_spot else scene.camera, ends)
         raise refused_light(light)
 
     def _end(self, scene: Scene) -> float:
@@ -197,6 +209,82 @@ class PlayCanvas(AbstractEngineShadows):
             cameras.append(_camera(view, projection, _FIRST, far, place))
         return EngineCameras.of(cameras, False, scene.camera, ends)
 
+    def frame(self, scene: Scene, distance: float) -> LightFrame:
+        return light_frame(self.cameras_of(scene), self._size_of_first, distance)
+
+    @property
+    def _size_of_first(self) -> Resolution:
+        return self.resolution if self.num_cascades == 1 else (self.resolution[0] // 2, self.resolution[0] // 2)
+
+    def plain(self, frame: LightFrame, distance: float) -> PlainBias:
+        """Without the polygon offset, which no other engine lets one set."""
+        radius = castano_radius(_SIZES[self.shadow_type])
+        offset = float(self.normal_offset_bias)
+        if frame.kind == "point":
+            shift = _PARTS * float(self.shadow_bias) * frame.far
+            return PlainBias(shift, 0, offset * distance / frame.texel, 1, "one_minus_cosine", radius)
+        shift = _HIDDEN_BIAS * (frame.far - frame.near) if frame.kind == "directional" else 0.0
+        return PlainBias(shift, 0, offset / frame.texel, 0, "constant", radius)
+
+    def bounds(self, lights: Sequence[tuple[LightFrame, float]]) -> dict[str, tuple[float, float, float]]:
+        offset = max(frame.texel / (at if frame.kind == "point" else 1) for frame, at in lights)
+        return {
+            "shadow_bias": (Settings.shadow_bias, 0.0, 1.0),
+            "normal_offset_bias": (0.0, 0.0, min(_MOST_TEXELS * offset, 1.0)),
+        }
+
+    def biased(self, frame: LightFrame, shift: float, offset: float, distance: float) -> Self:
+        if frame.kind == "point":
+            values = {"shadow_bias": shift / frame.far / _PARTS, "normal_offset_bias": offset / distance}
+            return dataclasses.replace(self, **{name: min(value, 1.0) for name, value in values.items()})
+        if shift:
+            raise ValueError("PlayCanvas has no constant bias under directional and spot lights; expected none")
+        return dataclasses.replace(self, shadow_bias=0.0, normal_offset_bias=min(offset, 1.0))
+
+    def code(self, given: EngineLight, distances: tuple[float, float], origin: Origin = WORLD) -> list[str]:
+        is_point, bias = given.type == "point", float(self.shadow_bias)
+        amount = (
+            f"{about(_PARTS * bias * given.far)} world units towards the light"
+            if is_point
+            else f"casters move away by {about(_SLOPES * bias)} of their depth's steps from texel to texel"
+        )
+        lines = ["app.scene.clusteredLightingEnabled = false;  // with it, spot and omni lights share another map"]
+        if given.type != "directional":
+            lines += [f"entity.setPosition({place(given.position, origin)});"]
+        if given.target is not None:
+            target = given.target if given.type == "spot" else given.direction
+            lines += ["const from = entity.getPosition();"] if given.type == "directional" else []
+            at = [f"from.{axis} + {number(value)}" for axis, value in zip("xyz", target or (), strict=False)]
+            towards = ", ".join(at) if given.type == "directional" else place(target or (), origin)
+            lines += [f"entity.lookAt({towards});", "entity.rotateLocal(90, 0, 0);  // it shines along its -y"]
+        values: dict[str, str] = {"castShadows": "true", "shadowType": f"pc.SHADOW_{self.shadow_type}"}
+        values["shadowResolution"] = str(self.resolution[0])
+        if given.type == "directional":
+            values |= {"shadowDistance": number(self.shadow_distance), "numCascades": str(self.num_cascades)}
+            if self.num_cascades > 1:
+                values["cascadeDistribution"] = number(self.cascade_distribution)
+        else:
+            values["range"] = number(given.far)
+        if given.angle is not None:
+            values["outerConeAngle"] = f"{number(math.degrees(given.angle))};  // degrees"
+        values["shadowBias"] = f"{number(bias)};  // {amount}"
+        unit = "parts of the distance, times 1 - cos θ" if is_point else "world units"
+        values["normalOffsetBias"] = f"{number(float(self.normal_offset_bias))};  // {unit}"
+        if float(self.shadow_intensity) != 1:
+            values["shadowIntensity"] = number(float(self.shadow_intensity))
+        lines += [f"entity.light.{name} = {text}{'' if ';' in text else ';'}" for name, text in values.items()]
+        culls = {"front": "BACK", "back": "FRONT", "double": "NONE"}
+        if isinstance(self.side, tuple):
+            lines += [f"// material.cull of each mesh: {', '.join(f'pc.CULLFACE_{culls[one]}' for one in self.side)}"]
+        else:
+            lines += [f"material.cull = pc.CULLFACE_{culls[self.side]};"]
+        holds = "range" if given.type != "directional" else "shadowDistance and view camera"
+        return [
+            "// PlayCanvas 2.23, WebGL2.",
+            f"// Holds for this map size, {holds}: with others, fit it again.",
+            *lines,
+        ]
+
     def visibility(self, state: EngineMap, surface: Surface) -> Visibility:
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
 
@@ -204,6 +292,13 @@ class PlayCanvas(AbstractEngineShadows):
         compared with its border. Faces turned away from the light are compared as all others.
         """
         return _visibility(self, state, surface)
+
+
+def camera_of(light: MatrixLight) -> CameraOfLight:
+    """The camera of a light that is given by its matrices."""
+    given, matrices = light.view(), (light.world_to_eye, light.eye_to_clip)
+    pose, projection = (np.asarray(each) for each in matrices)
+    return _camera(pose, projection, float(given.near), float(given.far))
 
 
 def _camera(
@@ -224,7 +319,7 @@ def _axes_of(direction: Any) -> Float[HostArray, "3 3"]:
 
 def _as_kept(axes: Float[HostArray, "3 3"]) -> Float[HostArray, "3 3"]:
     """Axes as the engine keeps them: in single precision, then as a quaternion, whose rounding decides last bits."""
-    (a, b, c), (d, e, f), (g, h, i) = (row / np.linalg.norm(row) for row in np.float32(axes).astype(np.float64))
+    (a, b, c), (d, e, f), (g, h, i) = (row / np.linalg.norm(row) for row in axes.astype(np.float32).astype(np.float64))
     if i < 0:
         parts = (1 + a - e - i, b + d, g + c, f - h) if a > e else (b + d, 1 - a + e - i, f + h, g - c)
     else:
@@ -256,7 +351,9 @@ class _Box(NamedTuple):
         return bool((np.abs(middle - centre)[:2] < half[:2] + radius).all())
 
 
-def _behind(centre: Float[HostArray, "3"], axes: Float[HostArray, "3 3"], boxes: Sequence[_Box]) -> tuple[HostArray, float]:
+def _behind(
+    centre: Float[HostArray, "3"], axes: Float[HostArray, "3 3"], boxes: Sequence[_Box]
+) -> tuple[HostArray, float]:
     """Where the camera of a directional light is that sees one box about all `boxes`, and its far plane.
 
     The engine measures from far behind the scene, in single precision. That rounding is part of its depth range.
@@ -265,7 +362,7 @@ def _behind(centre: Float[HostArray, "3"], axes: Float[HostArray, "3 3"], boxes:
     if not boxes:
         return eye, 2 * _AWAY
     ends = np.stack([np.min([box.low for box in boxes], axis=0), np.max([box.high for box in boxes], axis=0)])
-    corners = np.stack(np.meshgrid(*ends.T), axis=-1).reshape(8, 3)
+    corners = np.stack(np.meshgrid(*ends.T.tolist()), axis=-1).reshape(8, 3)
     depths = corners @ (view := inverse_pose(axes, eye)).astype(np.float64)[2, :3] + float(view[2, 3])
     return eye + (depths.max() + _ROOM) * axes[2], float(depths.max() - depths.min() + 2 * _ROOM)
 

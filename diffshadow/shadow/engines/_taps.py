@@ -1,5 +1,6 @@
 """Means of compares over the taps of engines' filters."""
 
+import math
 from collections.abc import Callable
 from typing import Any, Literal
 
@@ -9,6 +10,7 @@ from jaxtyping import Array, Float
 
 from ..._arithmetic import as_float
 from ..._types import HostArray
+from ..filters._castano import CASTANO_KERNELS
 from ._textures import bilinear
 
 Compared = Callable[[Array], Array]
@@ -62,3 +64,11 @@ def _tent_taps(at: Float[Array, "h w"], size: TentSize) -> tuple[Float[Array, "k
         weights = [4 - 3 * s, jnp.full_like(s, 7), 1 + 3 * s]
         offsets = [(3 - 2 * s) / weights[0] - 2, (3 + s) / 7, s / weights[2] + 2]
     return jnp.stack(weights), jnp.stack([whole - 0.5 + offset for offset in offsets])
+
+
+def castano_radius(size: int) -> float:
+    """The radius in texels of a disk with the same standard deviation as Castaño's kernel of `size` texels."""
+    weights = CASTANO_KERNELS.get(size, (1,))
+    squares = sum(weight * (i - size // 2) ** 2 for i, weight in enumerate(weights))
+    # A disk's standard deviation along an axis is half its radius.
+    return 2 * math.sqrt(squares / sum(weights))

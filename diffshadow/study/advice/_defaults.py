@@ -14,7 +14,7 @@ from ...settings.quantities import FARTHEST, MAX_TEXELS
 from ...settings.rules import Worth
 from ...shadow import engine_settings
 from ..pages import _table as table
-from ._formula_engines import FORMULA_ENGINES, beside, lines_of
+from ..runs._formula_engines import FORMULA_ENGINES, beside, lines_of
 
 _KERNELS: Mapping[str, type[filters.Filter]] = {each.type: each for each in rules.MEASURED}
 # The filter of each engine that its rule was measured with, as in `FORMULA_ENGINES`.

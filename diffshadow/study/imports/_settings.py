@@ -136,6 +136,9 @@ def settings_of(
         if shadow_type == "BasicShadowMap":
             del fitted["technique.radius"]
         settings["fit"] = {"parameters": fitted}
+    elif technique != "shadow_map":
+        # No file has their settings.
+        settings["technique"] = {"type": technique}
     else:
         settings["technique"] = {"type": technique}
         for mesh in settings["scene"]["meshes"]:

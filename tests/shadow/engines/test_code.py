@@ -11,7 +11,7 @@ from golden_engines import engine_golden
 
 from diffshadow.geometry import DirectionalLight, MatrixLight, PointLight, RectangleLight, SpotLight
 from diffshadow.shadow import BabylonJs, EngineLight, ThreeJs, engine_code
-from diffshadow.shadow.engines._abstract import engine_light
+from diffshadow.shadow.engines._axes import engine_light
 
 SUN = DirectionalLight((0.3, -1.0, -0.2), (0.5, 1, 0), (4.0, 2.0), -3.0, 3.0)
 
