@@ -31,6 +31,8 @@ BabylonQuality = Literal["HIGH", "MEDIUM", "LOW"]
 """A `QUALITY_` constant of the shadow generator."""
 PlayCanvasShadow = Literal["PCF1_32F", "PCF3_32F", "PCF5_32F"]
 """A `SHADOW_` constant of PlayCanvas, without that prefix."""
+BevyFilter = Literal["Gaussian", "Hardware2x2"]
+"""A `ShadowFilteringMethod` of Bevy."""
 EngineName = Literal["godot", "bevy", "filament", "unity", "three.js", "babylon.js", "playcanvas"]
 """An engine, as one names it to the command."""
 ENGINES: dict[EngineName, str] = {
@@ -45,7 +47,7 @@ ENGINES: dict[EngineName, str] = {
 """The engines, and how sentences name them."""
 POLYGON_OFFSETS: dict[EngineName, tuple[float, float]] = {"filament": (2.0, 0.5), "unity": (2.5, 1.0)}
 """The factor and the units of the polygon offset with which engines draw their maps beside the bias of a light."""
-ImportedTechnique = Literal["three.js", "shadow_map", "playcanvas"]
+ImportedTechnique = Literal["three.js", "shadow_map", "playcanvas", "bevy"]
 """The technique of a configuration that is made of an engine's scene."""
 
 _Sides = Annotated[Sides, Form("front, back or double, or a list with one of them for each mesh")]
@@ -197,3 +199,41 @@ class PlayCanvas(Engine):
         Fraction, "cascadeDistribution: from ends of cascades at equal parts to ends at equal ratios"
     ] = 0.5
     side: Annotated[_Sides, "faces that material.cull leaves, of all meshes, or of each"] = "front"
+
+
+_Distance = Annotated[float, Limits(0, FARTHEST, above_low=True), Unit("world units")]
+
+
+class Bevy(Engine):
+    """The shadows of Bevy 0.19 under directional and spot lights, by the names, units and defaults of its lights. The
+    map must be square."""
+
+    biases = ("shadow_depth_bias", "shadow_normal_bias")
+    bias_names = ("shadow_depth_bias", "shadow_normal_bias")
+    filter_key = "shadow_filtering_method"
+    filters = ("Hardware2x2", "Gaussian")
+    point_filters = ()
+    kinds = ("directional", "spot")
+    has_square_maps = True
+    default_size = 2048
+    suffix = "rs"
+
+    type: Literal["bevy"] = "bevy"
+    shadow_filtering_method: Annotated[BevyFilter, "ShadowFilteringMethod of the camera"] = "Gaussian"
+    shadow_depth_bias: Annotated[_Length, Fitted(), "shadow_depth_bias: shift of receivers towards the light"] = 0.02
+    shadow_normal_bias: Annotated[
+        float,
+        Limits(0, 1024),
+        Unit("diagonals of a texel"),
+        Fitted(),
+        "shadow_normal_bias: shift of receivers along their normals",
+    ] = 1.8
+    num_cascades: Annotated[int, Limits(1, 4), "num_cascades of a directional light"] = 4
+    minimum_distance: Annotated[_Distance, "minimum_distance: where the first cascade begins"] = 0.1
+    maximum_distance: Annotated[_Distance, "maximum_distance: where the last cascade ends"] = 150.0
+    first_cascade_far_bound: Annotated[_Distance, "first_cascade_far_bound: where the first of several ends"] = 10.0
+    overlap_proportion: Annotated[
+        float, Limits(0, 1, below_high=True), "overlap_proportion: the share in which a cascade fades into the next"
+    ] = 0.2
+    shadow_map_near_z: Annotated[_Distance, "shadow_map_near_z: near plane of a spot light"] = 0.1
+    side: Annotated[_Sides, "faces that cull_mode of the material leaves, of all meshes, or of each"] = "front"

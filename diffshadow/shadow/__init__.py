@@ -35,6 +35,7 @@ from .engines import OFFSET_PROFILES as OFFSET_PROFILES
 from .engines import (
     AbstractEngineShadows,
     BabylonJs,
+    Bevy,
     EngineLight,
     EngineMap,
     PlayCanvas,
@@ -83,6 +84,7 @@ __all__ = [
     "BabylonFilter",
     "BabylonJs",
     "BabylonQuality",
+    "Bevy",
     "Bias",
     "BiasTerms",
     "Bilinear",

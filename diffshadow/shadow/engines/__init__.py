@@ -3,6 +3,7 @@
 from ...settings.engines import EngineName
 from ._abstract import AbstractEngineShadows as AbstractEngineShadows
 from ._babylon import BabylonJs as BabylonJs
+from ._bevy import Bevy as Bevy
 from ._code import engine_code as engine_code
 from ._convert import OFFSET_PROFILES as OFFSET_PROFILES
 from ._convert import EngineSetting as EngineSetting
@@ -20,6 +21,6 @@ from ._taps import castano_radius as castano_radius
 from ._three import ThreeJs as ThreeJs
 
 ENGINE_TECHNIQUES: dict[EngineName, type[AbstractEngineShadows]] = {
-    each.settings.type: each for each in (ThreeJs, BabylonJs, PlayCanvas)
+    each.settings.type: each for each in (ThreeJs, BabylonJs, PlayCanvas, Bevy)
 }
 """The engines whose shadows are drawn here, by the types of their sections."""

@@ -72,6 +72,7 @@ class AbstractEngineShadows(AbstractTechnique):
 
     - `compare`: how depths are compared; the hard compare is the engine's own.
     - `resolution`: of the map, (height, width) in texels.
+    - `has_layers`: whether cascades are layers of their own rather than parts of one texture.
     - `subpixels`: steps to a texel; the engine's rasterizer places vertices at whole steps. Most graphics hardware
         has 256, Chromium's software rasterizer 16.
     """
@@ -79,6 +80,7 @@ class AbstractEngineShadows(AbstractTechnique):
     compare: eqx.AbstractVar[AbstractCompare]
     resolution: eqx.AbstractVar[Resolution]
     subpixels: eqx.AbstractVar[int]
+    has_layers: ClassVar[bool] = False
     settings: ClassVar[type[Engine]]  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def _check_rules(self):
@@ -157,7 +159,9 @@ class AbstractEngineShadows(AbstractTechnique):
         `is_depth`.
         """
         found = as_float(stored)
+        layers = light.count if isinstance(light, EngineCameras) and self.has_layers else 1
         expected = (6, *self.resolution) if isinstance(light, PointLight) else self.resolution
+        expected = expected if layers == 1 else (layers, *self.resolution)
         if found.shape != expected:
             raise ValueError(
                 f"the engine's map has shape {found.shape}; expected {expected}, by the light and the technique's "

@@ -1,5 +1,6 @@
 """The axes of engines' cameras, whose up direction is +y."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -7,6 +8,7 @@ from jaxtyping import Float
 
 from ..._types import HostArray
 from ...geometry import AbstractLight, DirectionalLight, MatrixLight, PointLight, SpotLight
+from ...settings.scene import LightKind
 from ._cameras import EngineCameras
 
 # The sine of the angle to the y axis below which a direction counts as vertical.
@@ -32,11 +34,10 @@ def engine_light(light: AbstractLight, nudge: float) -> AbstractLight:
     return MatrixLight(upright, view.eye_to_clip, view.is_perspective)
 
 
-def refused_light(light: AbstractLight) -> ValueError:
-    """The error that names a light that no engine has."""
-    return ValueError(
-        f"the light is a {type(light).__name__}; expected a directional, spot, point or matrix light, as in engines"
-    )
+def refused_light(light: AbstractLight, kinds: Sequence[LightKind] = ("directional", "spot", "point")) -> ValueError:
+    """The error that names a light that no engine has, or that is not of the `kinds` of one."""
+    expected = f"{', '.join(kinds)} or matrix light"
+    return ValueError(f"the light is a {type(light).__name__}; expected a {expected}, as in engines")
 
 
 def upright_axes(direction: Any, nudge: float) -> Float[HostArray, "3 3"]:

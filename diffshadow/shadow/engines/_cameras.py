@@ -20,7 +20,8 @@ class CameraOfLight(NamedTuple):
 
     - `world_to_eye`, `eye_to_clip`: (4, 4), by OpenGL's conventions, for column vectors.
     - `near`, `far`: distances along its axis where window depth is 0 and 1, world units.
-    - `to_clip`: (4, 4), from world space to clip space as the engine computes it.
+    - `to_clip`: (4, 4), from world space to clip space as the engine computes it; with reversed depth, if the engine
+        has it, depth over w is from 1 at near to 0 at far.
     - `to_window`: (4, 4), from world space to the map as the engine computes it: x and y over w are from 0 to 1 over
         the whole texture, z over w is depth from 0 to 1.
     """
@@ -190,9 +191,17 @@ def parallel_projection(half: float, near: float, far: float) -> Float[HostArray
 
 
 def cone_projection(tangent: float, near: float, far: float) -> Float[HostArray, "4 4"]:
-    """OpenGL's perspective of a square window whose half width is `tangent` at the distance 1."""
-    matrix = np.diag([1 / tangent, 1 / tangent, -(far + near) / (far - near), 0.0])
-    matrix[2, 3], matrix[3, 2] = -2 * far * near / (far - near), -1
+    """OpenGL's perspective of a square window whose half width is `tangent` at the distance 1; far may be infinite."""
+    share = 0.0 if np.isinf(far) else near / far
+    matrix = np.diag([1 / tangent, 1 / tangent, -(1 + share) / (1 - share), 0.0])
+    matrix[2, 3], matrix[3, 2] = -2 * near / (1 - share), -1
+    return matrix
+
+
+def reversed_depth(projection: Float[HostArray, "4 4"]) -> Float[HostArray, "4 4"]:
+    """OpenGL's `projection` with clip depth over w from 1 at near to 0 at far."""
+    matrix = np.array(projection, np.float64)
+    matrix[2] = (matrix[3] - matrix[2]) / 2
     return matrix
 
 

@@ -14,7 +14,7 @@ from ..._arithmetic import as_array, as_float, concrete, safe_divide, safe_norm
 from ..._types import HostArray, Resolution, Scalar
 from ..._words import counted
 from ...geometry import AbstractLight, Mesh, PointLight, Scene, Textures, View, merge, perspective
-from ...raster import Surface, at_steps, barycentrics, interpolate, rasterize, rasterize_depth
+from ...raster import SUBPIXELS, Surface, at_steps, barycentrics, interpolate, rasterize, rasterize_depth
 from ...settings.engines import Side
 
 # The least step of depths from 1/2 to 1.
@@ -35,7 +35,8 @@ class EngineMap(eqx.Module):
     - `slope`: of engines that draw casters with a polygon offset, as `depth`: by how much window depth changes from
         texel to texel, along the rows or the columns, whichever is more. Otherwise None.
     - `drawn_with`: how many of these slopes `depth` holds already.
-    - `unit`: what `depth` is measured in: window depth, or the distance to a point light over its far.
+    - `unit`: what `depth` is measured in: window depth; the distance to a point light over its far; or reversed depth,
+        from 1 at near to 0 at far, and 0 where the light sees nothing.
     """
 
     depth: Float[Array, "*l h w"]
@@ -45,7 +46,7 @@ class EngineMap(eqx.Module):
     blurred: Resolution | None = eqx.field(static=True, default=None)
     slope: Float[Array, "*l h w"] | None = None
     drawn_with: Scalar | None = None
-    unit: Literal["window", "distance"] = eqx.field(static=True, default="window")
+    unit: Literal["window", "distance", "reversed"] = eqx.field(static=True, default="window")
 
     @property
     def resolution(self) -> Resolution:
@@ -63,11 +64,22 @@ class EngineMap(eqx.Module):
         """Distances along the axis of the light's view in world units: of the depths, and of the least near and the
         greatest far plane. Of a point light whose map holds distances to it, these."""
         view = self.view
-        if self.unit == "distance":
-            return self.depth * view.far, view.near, view.far
         near, far = (jnp.expand_dims(each, (-2, -1)) if jnp.ndim(each) else each for each in (view.near, view.far))
-        distance = dataclasses.replace(view, near=near, far=far).eye_depth(self.depth)
-        return distance, jnp.min(view.near), jnp.max(view.far)
+        if self.unit == "distance":
+            distance = self.depth * far
+        elif self.unit == "reversed" and view.is_perspective:
+            distance = near / jnp.where(self.is_drawn, self.depth, 1)
+        else:
+            depth = 1 - self.depth if self.unit == "reversed" else self.depth
+            distance = dataclasses.replace(view, near=near, far=far).eye_depth(depth)
+        least, most = jnp.min(view.near), jnp.max(view.far)
+        # The far plane may be at infinity.
+        return distance, least, jnp.minimum(most, jnp.max(jnp.where(self.is_drawn, distance, least)))
+
+    @property
+    def is_drawn(self) -> Bool[Array, "*l h w"]:
+        """Which texels see something."""
+        return self.depth > 0 if self.unit == "reversed" else self.depth < 1
 
     def sloped(self, count: Scalar) -> Float[Array, "*l h w"]:
         """Depth with `count` slopes, a polygon offset's factor; it is the drawn depth to the bit if it has as many."""
@@ -231,6 +243,47 @@ def _on_planes(
 
     views = (clip, seen, drawn)
     return lax.map(one, views) if seen.ndim > 2 else one(views)
+
+
+def reversed_map_of(
+    casters: Casters, clip: Float[Array, "*l v 4"], resolution: Resolution, subpixels: int, is_flattened: bool
+) -> Float[Array, "*l h w"]:
+    """The reversed depth that a light sees: from 1 at near to 0 at far, and 0 where it sees nothing.
+
+    **Arguments:**
+
+    - `clip`: of the vertices, with depth over w reversed.
+    - `is_flattened`: whether what lies before the near plane has depth 1, under a directional light; otherwise it is
+        cut away.
+    """
+    clip = clip if subpixels == SUBPIXELS else at_steps(clip, resolution, subpixels)
+    forward = _forward(clip, jnp.asarray(is_flattened))
+    seen = rasterize(forward, casters.faces, resolution, cull="back", alpha_test=casters.alpha_test).face
+    return _reversed_on_faces(clip, casters.faces, seen)
+
+
+@eqx.filter_jit
+def _forward(clip: Float[Array, "*l v 4"], is_flattened: Bool[Array, ""]) -> Float[Array, "*l v 4"]:
+    """Clip coordinates as OpenGL has them, of those with reversed depth; in a parallel view, with room for all that
+    `is_flattened`."""
+    z, w = clip[..., 2], clip[..., 3]
+    nearest = jnp.where(is_flattened, jnp.maximum(jnp.max(z, axis=-1, keepdims=True), 1), 1)
+    return clip.at[..., 2].set(jnp.where(is_flattened, 1 - 2 * z / nearest, w - 2 * z))
+
+
+@eqx.filter_jit
+def _reversed_on_faces(
+    clip: Float[Array, "*l v 4"], faces: Int[Array, "f 3"], seen: Int[Array, "*l h w"]
+) -> Float[Array, "*l h w"]:
+    """The reversed depth of the face that each texel sees."""
+
+    def one(view: tuple[Array, Array]) -> Array:
+        clip, seen = view
+        at = barycentrics(seen, clip, faces)
+        z, w = jnp.moveaxis(interpolate(at, clip[:, 2:], faces), -1, 0)
+        return jnp.where(at.mask, jnp.clip(safe_divide(z, w), 0, 1), 0)
+
+    return lax.map(one, (clip, seen)) if seen.ndim > 2 else one((clip, seen))
 
 
 def _steepness(corners: Float[Array, "h w 3 4"], resolution: Resolution) -> Float[Array, "h w"]:

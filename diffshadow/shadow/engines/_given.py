@@ -195,13 +195,13 @@ def _parallel(
     return DirectionalLight(direction, center, (right - left, top - bottom), *ends, angular_radius, up)
 
 
-# --- PlayCanvas ---
+# --- PlayCanvas and Bevy ---
 
 
-def playcanvas_directional_light(
+def fitted_directional_light(
     direction: Point, *, angular_radius: float = scene.DirectionalLight.angular_radius
 ) -> DirectionalLight:
-    """A directional light of PlayCanvas, and of other engines that fit its cameras to what the view camera sees.
+    """A directional light of an engine that fits its cameras to what the view camera sees.
 
     **Arguments:**
 
@@ -250,3 +250,28 @@ def playcanvas_omni_light(
     **Raises** what `PointLight` raises.
     """
     return PointLight(position, range / 1000, range, radius)
+
+
+def bevy_spot_light(
+    position: Point,
+    direction: Point,
+    *,
+    range: float = 20.0,
+    outer_angle: float = math.pi / 4,
+    inner_angle: float = 0.0,
+    shadow_map_near_z: float = 0.1,
+    radius: float = scene.SpotLight.radius,
+) -> SpotLight:
+    """Bevy's spot light; defaults are the engine's.
+
+    **Arguments:**
+
+    - `position`, `direction`: of its transform, and in which it shines, (3,), world units.
+    - `range`, `shadow_map_near_z`: world units; the map's far plane is at infinity.
+    - `outer_angle`, `inner_angle`: from the axis, radians.
+    - `radius`: of the light's disk, in world units, for references; without soft shadows the engine has none.
+
+    **Raises** what `SpotLight` raises.
+    """
+    outer, inner = math.degrees(outer_angle), math.degrees(inner_angle)
+    return SpotLight(position, direction, outer, shadow_map_near_z, range, radius, inner)

@@ -49,7 +49,7 @@ from ._cameras import (
 from ._code import about, number, place
 from ._convert import LightFrame, PlainBias, light_frame
 from ._engine_map import EngineMap, distance_map_of, each_of, sloped_map_of
-from ._given import playcanvas_directional_light, playcanvas_omni_light, playcanvas_spot_light
+from ._given import fitted_directional_light, playcanvas_omni_light, playcanvas_spot_light
 from ._light import EngineLight, plain
 from ._taps import TentSize, castano_radius, mean_of, tent
 from ._textures import bilinear_in_cube, place_in_cube, rounded, with_borders
@@ -116,7 +116,7 @@ class PlayCanvas(AbstractEngineShadows):
     resolution: Resolution = eqx.field(static=True, converter=as_tuple, default=maps.ShadowMap.resolution)
     subpixels: int = eqx.field(static=True, default=Settings.subpixels)
 
-    directional_light = staticmethod(playcanvas_directional_light)
+    directional_light = staticmethod(fitted_directional_light)
     spot_light = staticmethod(playcanvas_spot_light)
     omni_light = staticmethod(playcanvas_omni_light)
 
@@ -184,7 +184,7 @@ class PlayCanvas(AbstractEngineShadows):
                 is_spot = light.is_perspective
                 ends = None if is_spot else [self._end(scene)]
                 return EngineCameras.of([camera_of(light)], is_spot, None if is_spot else scene.camera, ends)
-        raise refused_light(light)
+        raise refused_light(light, self.settings.kinds)
 
     def _end(self, scene: Scene) -> float:
         return min(float(scene.camera.far), self.shadow_distance)
