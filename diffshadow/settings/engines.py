@@ -33,7 +33,13 @@ PlayCanvasShadow = Literal["PCF1_32F", "PCF3_32F", "PCF5_32F"]
 """A `SHADOW_` constant of PlayCanvas, without that prefix."""
 BevyFilter = Literal["Gaussian", "Hardware2x2"]
 """A `ShadowFilteringMethod` of Bevy."""
-EngineName = Literal["godot", "bevy", "filament", "unity", "three.js", "babylon.js", "playcanvas"]
+GodotQuality = Literal["HARD", "SOFT_VERY_LOW", "SOFT_LOW", "SOFT_MEDIUM", "SOFT_HIGH", "SOFT_ULTRA"]
+"""A `RenderingServer.SHADOW_QUALITY_` constant of Godot, without that prefix."""
+GodotMode = Literal["SHADOW_ORTHOGONAL", "SHADOW_PARALLEL_4_SPLITS"]
+"""A `directional_shadow_mode` of Godot."""
+EngineName = Literal[
+    "godot", "bevy", "filament", "unity", "three.js", "babylon.js", "playcanvas", "godot_compatibility"
+]
 """An engine, as one names it to the command."""
 ENGINES: dict[EngineName, str] = {
     "godot": "Godot 4",
@@ -43,11 +49,12 @@ ENGINES: dict[EngineName, str] = {
     "three.js": "three.js",
     "babylon.js": "Babylon.js",
     "playcanvas": "PlayCanvas",
+    "godot_compatibility": "Godot 4 Compatibility",
 }
 """The engines, and how sentences name them."""
 POLYGON_OFFSETS: dict[EngineName, tuple[float, float]] = {"filament": (2.0, 0.5), "unity": (2.5, 1.0)}
 """The factor and the units of the polygon offset with which engines draw their maps beside the bias of a light."""
-ImportedTechnique = Literal["three.js", "shadow_map", "playcanvas", "bevy"]
+ImportedTechnique = Literal["three.js", "shadow_map", "playcanvas", "bevy", "godot_compatibility"]
 """The technique of a configuration that is made of an engine's scene."""
 
 _Sides = Annotated[Sides, Form("front, back or double, or a list with one of them for each mesh")]
@@ -237,3 +244,35 @@ class Bevy(Engine):
     ] = 0.2
     shadow_map_near_z: Annotated[_Distance, "shadow_map_near_z: near plane of a spot light"] = 0.1
     side: Annotated[_Sides, "faces that cull_mode of the material leaves, of all meshes, or of each"] = "front"
+
+
+class GodotCompatibility(Engine):
+    """The shadows of Godot 4.6 in its Compatibility renderer, by the names, units and defaults of its lights. The map
+    must be square."""
+
+    biases = ("shadow_bias", "shadow_normal_bias")
+    bias_names = ("shadow_bias", "shadow_normal_bias")
+    filter_key = "soft_filter_quality"
+    filters = ("HARD", "SOFT_LOW", "SOFT_HIGH")
+    point_filters = ("HARD",)
+    has_square_maps = True
+    default_size = 4096
+    suffix = "gd"
+
+    type: Literal["godot_compatibility"] = "godot_compatibility"
+    soft_filter_quality: Annotated[GodotQuality, "SHADOW_QUALITY of soft filters"] = "SOFT_LOW"
+    shadow_bias: Annotated[
+        float, Limits(0, 16), Fitted(searched=True), "shadow_bias: moves casters away from the light's camera"
+    ] = 0.1
+    shadow_normal_bias: Annotated[
+        float, Limits(0, 16), Fitted(), "shadow_normal_bias: shift of receivers along the normals of vertices"
+    ] = 2.0
+    directional_shadow_mode: Annotated[GodotMode, "directional_shadow_mode"] = "SHADOW_PARALLEL_4_SPLITS"
+    directional_shadow_max_distance: Annotated[_Distance, "directional_shadow_max_distance"] = 100.0
+    directional_shadow_pancake_size: Annotated[
+        float, Limits(0, FARTHEST), Unit("world units"), "directional_shadow_pancake_size: room before what is seen"
+    ] = 20.0
+    directional_shadow_fade_start: Annotated[
+        Fraction, "directional_shadow_fade_start: share of the distance where shadows begin to fade out"
+    ] = 0.8
+    side: Annotated[_Sides, "faces that the material's cull mode leaves, of all meshes, or of each"] = "front"

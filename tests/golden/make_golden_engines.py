@@ -1,6 +1,6 @@
 """Draws golden pictures with engines and stores them in the folder `engines` beside this script.
 
-    PYTHONPATH=. python tests/golden/make_golden_engines.py [three] [babylon] [playcanvas]
+    PYTHONPATH=. python tests/golden/make_golden_engines.py [three] [babylon] [playcanvas] [godot]
 
 needs Node.js, its packages and Chromium; it says how to install what is missing. Per engine there is
 
@@ -25,12 +25,13 @@ sys.path.insert(0, str(HERE.parents[1] / "experiments"))
 
 from _babylon_cases import babylon_cases  # noqa: E402
 from _engine_scene import geometry  # noqa: E402
+from _godot_cases import godot_cases  # noqa: E402
 from _playcanvas_cases import playcanvas_cases  # noqa: E402
 from _three_cases import three_cases  # noqa: E402
 from engines.engines import Drawing, draw  # noqa: E402
 from golden_engines import FOLDER, VISIBILITY_STEPS, pack, unpack  # noqa: E402
 
-CASES = {"three": three_cases, "babylon": babylon_cases, "playcanvas": playcanvas_cases}
+CASES = {"three": three_cases, "babylon": babylon_cases, "playcanvas": playcanvas_cases, "godot": godot_cases}
 OUTPUTS = ["mesh", "position", "normal", "map"]
 
 
@@ -47,6 +48,9 @@ def stored_arrays(drawing: Drawing) -> dict[str, np.ndarray]:
     **Raises** `ValueError` if an array cannot be restored to the last bit.
     """
     arrays = drawing.arrays
+    if "visibility" not in arrays:
+        # Pictures of bytes, and the map.
+        return {name: array if array.dtype == np.uint8 else pack(array) for name, array in arrays.items()}
     covered = arrays["mesh"] >= 0
     found = {
         "visibility": np.round(arrays["visibility"].astype(np.float64).clip(0, 1) * VISIBILITY_STEPS).astype(np.uint16),

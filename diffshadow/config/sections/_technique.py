@@ -350,6 +350,13 @@ class BevyConfig(EngineConfig, engines.Bevy):
                 yield (after,), fault(f"is {high:g}, and {before} is {low:g}", "more than that", "raise it")
 
 
+class GodotCompatibilityConfig(EngineConfig, engines.GodotCompatibility):
+    """The shadows of Godot 4.6 in its Compatibility renderer, by the names, units and defaults of its lights. The map
+    must be square."""
+
+    of_meshes = ("side",)
+
+
 TECHNIQUES = Variants(techniques.Technique, "shadow_map", __name__)
 TechniqueConfig = Annotated[AnyTechniqueConfig, TECHNIQUES]
 

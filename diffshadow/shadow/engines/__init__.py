@@ -12,6 +12,7 @@ from ._convert import PlainBias as PlainBias
 from ._convert import engine_settings as engine_settings
 from ._convert import light_frame as light_frame
 from ._engine_map import EngineMap as EngineMap
+from ._godot import GodotCompatibility as GodotCompatibility
 from ._light import EngineLight as EngineLight
 from ._plain import plain_bias as plain_bias
 from ._playcanvas import PlayCanvas as PlayCanvas
@@ -21,6 +22,6 @@ from ._taps import castano_radius as castano_radius
 from ._three import ThreeJs as ThreeJs
 
 ENGINE_TECHNIQUES: dict[EngineName, type[AbstractEngineShadows]] = {
-    each.settings.type: each for each in (ThreeJs, BabylonJs, PlayCanvas, Bevy)
+    each.settings.type: each for each in (ThreeJs, BabylonJs, PlayCanvas, Bevy, GodotCompatibility)
 }
 """The engines whose shadows are drawn here, by the types of their sections."""

@@ -114,10 +114,11 @@ class EngineCameras(AbstractLight):
         """`points` in the map's texture, to the bit as a shader multiplies the matrix with them."""
         return in_order(self.to_window[0 if layer is None else layer], points)
 
-    def clip(self, points: Float[Array, "n 3"]) -> Float[Array, "*k n 4"]:
-        """Clip coordinates of `points` in each camera, likewise to the bit; without the axis k if there is one."""
-        clip = in_order(self.to_clip[:, None], points)
-        return clip[0] if self.count == 1 else clip
+    def clip(self, points: Float[Array, "n 3"], camera: int | None = None) -> Float[Array, "*k n 4"]:
+        """Clip coordinates of `points` in a `camera`, or in each, likewise to the bit; of one, without the axis k."""
+        if self.count == 1 or camera is not None:
+            return in_order(self.to_clip[camera or 0], points)
+        return in_order(self.to_clip[:, None], points)
 
     def towards(self, points: Float[Array, "*n 3"], sample: Float[Array, "*n 2"] | None = None) -> Float[Array, "*n 3"]:
         if self.is_perspective:
@@ -222,23 +223,28 @@ def in_single(*matrices: HostArray) -> Float[HostArray, "4 4"]:
 
 # --- Cascades in one texture ---
 
-QUARTERS = ((0.0, 0.0), (0.0, 0.5), (0.5, 0.0), (0.5, 0.5))
-"""Where the cascades' squares begin in a texture that they share."""
+Places = tuple[tuple[float, float], ...]
+"""Where the cascades' squares begin, x and y, in a texture that they share, whose sides are 1."""
+
+QUARTERS: Places = ((0.0, 0.0), (0.0, 0.5), (0.5, 0.0), (0.5, 0.5))
+"""Of PlayCanvas."""
 
 
-def in_quarters(layers: Float[Array, "*k h w"]) -> Float[Array, "H W"]:
-    """One texture of up to four `layers`, at `QUARTERS`; its empty texels hold 1. One map alone fills all of it."""
+def in_quarters(layers: Float[Array, "*k h w"], places: Places, empty: float) -> Float[Array, "H W"]:
+    """One texture of up to four `layers`, at `places`; its other texels are `empty`. One map alone fills all of it."""
     if layers.ndim == 2:
         return layers
-    count, height, width = layers.shape
-    four = jnp.concatenate([layers, jnp.ones((4 - count, height, width), layers.dtype)])
-    return jnp.concatenate([jnp.concatenate([four[0], four[2]], axis=1), jnp.concatenate([four[1], four[3]], axis=1)])
+    _, height, width = layers.shape
+    texture = jnp.full((2 * height, 2 * width), empty, layers.dtype)
+    for layer, (x, y) in zip(layers, places, strict=False):
+        texture = lax.dynamic_update_slice(texture, layer, (int(2 * y) * height, int(2 * x) * width))
+    return texture
 
 
-def of_quarters(texture: Float[Array, "H W"], count: int) -> Float[Array, "*k h w"]:
+def of_quarters(texture: Float[Array, "H W"], count: int, places: Places) -> Float[Array, "*k h w"]:
     """The layers of a texture as `in_quarters` makes it."""
     if count == 1:
         return texture
-    size = texture.shape[0] // 2
-    at = [(int(2 * y) * size, int(2 * x) * size) for x, y in QUARTERS[:count]]
-    return jnp.stack([texture[row : row + size, column : column + size] for row, column in at])
+    height, width = (side // 2 for side in texture.shape)
+    at = [(int(2 * y) * height, int(2 * x) * width) for x, y in places[:count]]
+    return jnp.stack([texture[row : row + height, column : column + width] for row, column in at])

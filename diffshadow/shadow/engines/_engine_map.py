@@ -10,7 +10,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._arithmetic import as_array, as_float, concrete, safe_divide, safe_norm
+from ..._arithmetic import as_array, as_float, concrete, normalize, safe_divide, safe_norm
 from ..._types import HostArray, Resolution, Scalar
 from ..._words import counted
 from ...geometry import AbstractLight, Mesh, PointLight, Scene, Textures, View, merge, perspective
@@ -35,6 +35,7 @@ class EngineMap(eqx.Module):
     - `slope`: of engines that draw casters with a polygon offset, as `depth`: by how much window depth changes from
         texel to texel, along the rows or the columns, whichever is more. Otherwise None.
     - `drawn_with`: how many of these slopes `depth` holds already.
+    - `corners`: of engines whose receivers move at their vertices. Otherwise None.
     - `unit`: what `depth` is measured in: window depth; the distance to a point light over its far; or reversed depth,
         from 1 at near to 0 at far, and 0 where the light sees nothing.
     """
@@ -46,6 +47,7 @@ class EngineMap(eqx.Module):
     blurred: Resolution | None = eqx.field(static=True, default=None)
     slope: Float[Array, "*l h w"] | None = None
     drawn_with: Scalar | None = None
+    corners: "Corners | None" = None
     unit: Literal["window", "distance", "reversed"] = eqx.field(static=True, default="window")
 
     @property
@@ -92,6 +94,28 @@ class EngineMap(eqx.Module):
         """The factor of the normal bias at each pixel, (h, w, 1), and whether it sees a receiver, (h, w)."""
         face = jnp.maximum(surface.face, 0)
         return self.offset[face][..., None], surface.mask & self.receives[face]
+
+
+class Corners(eqx.Module):
+    """The corners of each face of a scene's mesh: their `positions` and unit `normals`, (f, 3, 3)."""
+
+    positions: Float[Array, "f 3 3"]
+    normals: Float[Array, "f 3 3"]
+
+    @classmethod
+    def of(cls, mesh: Mesh) -> "Corners":
+        return cls(as_float(mesh.vertices)[mesh.faces], normalize(as_float(mesh.corner_normals)))
+
+    def interpolated(self, values: Float[Array, "f 3 c"], surface: Surface) -> Float[Array, "h w c"]:
+        """`values` of the corners at what each pixel sees."""
+        face = jnp.maximum(surface.face, 0)
+        a, b, c = (self.positions[face, k] - surface.position for k in range(3))
+        # Of the areas opposite to the corners, with the sign that they have in the face's plane.
+        areas = jnp.stack([jnp.cross(b, c), jnp.cross(c, a), jnp.cross(a, b)], axis=-2)
+        normal = jnp.sum(areas, axis=-2)
+        weights = jnp.sum(areas * normal[..., None, :], axis=-1)
+        weights = safe_divide(weights, jnp.sum(weights, axis=-1, keepdims=True), 1 / 3)
+        return jnp.sum(weights[..., None] * values[face], axis=-2)
 
 
 class Casters(NamedTuple):

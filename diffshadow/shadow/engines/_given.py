@@ -195,7 +195,7 @@ def _parallel(
     return DirectionalLight(direction, center, (right - left, top - bottom), *ends, angular_radius, up)
 
 
-# --- PlayCanvas and Bevy ---
+# --- PlayCanvas, Bevy and Godot ---
 
 
 def fitted_directional_light(
@@ -275,3 +275,40 @@ def bevy_spot_light(
     """
     outer, inner = math.degrees(outer_angle), math.degrees(inner_angle)
     return SpotLight(position, direction, outer, shadow_map_near_z, range, radius, inner)
+
+
+def godot_spot_light(
+    position: Point,
+    direction: Point,
+    *,
+    spot_range: float = 5.0,
+    spot_angle: float = 45.0,
+    radius: float = scene.SpotLight.radius,
+) -> SpotLight:
+    """Godot's spot light; defaults are the engine's.
+
+    **Arguments:**
+
+    - `position`, `direction`: of its node, and in which it shines, (3,), world units.
+    - `spot_range`: world units. `spot_angle`: from the axis, degrees.
+    - `radius`: of the light's disk, in world units, for references; the Compatibility renderer has none.
+
+    **Raises** what `SpotLight` raises.
+    """
+    return SpotLight(position, direction, spot_angle, min(0.025, spot_range / 2), spot_range, radius)
+
+
+def godot_omni_light(
+    position: Point, *, omni_range: float = 5.0, radius: float = scene.PointLight.radius
+) -> PointLight:
+    """Godot's omni light; the default is the engine's.
+
+    **Arguments:**
+
+    - `position`: of its node, (3,), world units.
+    - `omni_range`: world units.
+    - `radius`: of the light's sphere, in world units, for references; the Compatibility renderer has none.
+
+    **Raises** what `PointLight` raises.
+    """
+    return PointLight(position, omni_range / 1000, omni_range, radius)

@@ -147,7 +147,7 @@ class PlayCanvas(AbstractEngineShadows):
         depth = self.checked_map(stored, light, is_depth=True)
         if isinstance(light, PointLight):
             return self._state(depth, scene, light)
-        layers = of_quarters(depth, light.count)
+        layers = of_quarters(depth, light.count, QUARTERS)
         return dataclasses.replace(self.prepare(scene), depth=layers)
 
     def _state(self, depth: Float[Array, "*l h w"], scene: Scene, light: AbstractLight) -> EngineMap:
@@ -393,7 +393,7 @@ def _in_window(settings: PlayCanvas, state: EngineMap, surface: Surface) -> Floa
         u, v, z = at[..., 0], at[..., 1], jnp.clip(at[..., 2], 0, 1) - _HIDDEN_BIAS
         is_shone_on = light.is_shadowed(surface.position)
     compared = settings.compared(z, per_texel, is_strict=True)
-    depth = in_quarters(state.sloped(_SLOPES * settings.shadow_bias))
+    depth = in_quarters(state.sloped(_SLOPES * settings.shadow_bias), QUARTERS, 1.0)
     return jnp.where(is_shone_on, tent(depth, u, v, compared, _SIZES[settings.shadow_type]), 1)
 
 
