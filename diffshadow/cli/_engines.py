@@ -57,6 +57,8 @@ def defaults(
 
     Example: `diffshadow defaults --filter random_disk --radius 3`
 
+    Example: `diffshadow defaults --engine three.js`
+
     Example: `diffshadow defaults --engine godot --map 2048 --window 40 --depth 100`
 
     Parameters
@@ -68,9 +70,9 @@ def defaults(
     engine
         Engine whose settings are printed, for its default filter and a directional light.
     map
-        Texels along a side of the engine's map.
+        Texels along a side of the engine's map, by default as the engine has it.
     window
-        How wide the light's shadow camera is, in world units.
+        How wide the light's shadow camera is, in world units, by default as in the engine.
     depth
         Its far plane less its near plane, in world units.
     """

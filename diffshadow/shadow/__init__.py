@@ -29,6 +29,7 @@ from .biases import (
     ReceiverPlane,
     SlopeBias,
 )
+from .biases import OffsetProfile as OffsetProfile
 from .engines import ENGINE_TECHNIQUES as ENGINE_TECHNIQUES
 from .engines import GODOT_QUALITIES as GODOT_QUALITIES
 from .engines import OFFSET_PROFILES as OFFSET_PROFILES

@@ -1,14 +1,14 @@
-"""Draws shadows with the real three.js, Babylon.js or PlayCanvas, in a headless Chromium.
+"""Draws shadows with the real three.js, Babylon.js, PlayCanvas or Godot, in a headless Chromium.
 
 `draw(jobs)` starts the browser once for all jobs. A job is a dictionary:
 
-- `engine`: "three" or "babylon".
+- `engine`: "three", "babylon", "playcanvas" or "godot".
 - `width`, `height`: of the picture, pixels.
 - `meshes`: a list of `vertices` (v, 3), `normals` (v, 3) or None, `faces` (f, 3), anticlockwise seen from the front;
   `casts` and `receives` (both true). three.js: `side` and `shadowSide`, each "front", "back" or "double" (the second
   None: as three.js chooses). Babylon.js: `backFaceCulling` (true), and `clockwise` (false): gives the engine its own
   winding in place of that of glTF files.
-- `light`: its `type` ("directional", "spot" or "point") and the engine's own settings by the engine's own names. For
+- `light`: its `type` ("directional", "spot" or "point"; "omni" of PlayCanvas and Godot) and the engine's own settings by the engine's own names. For
   three.js those of the shadow stand here too, `camera` holding left, right, top, bottom, near and far.
 - `shadowType` (three.js): "Basic", "PCF", "PCFSoft" or "VSM".
 - `generator` (Babylon.js): `mapSize`, `usefullFloatFirst`, and the shadow generator's settings by their own names;
@@ -16,6 +16,10 @@
 - `reversedDepthBuffer` (three.js): false.
 - `camera`: `view` and `projection` (4, 4) for column vectors, as `world_to_eye` and `eye_to_clip` of this library; or
   `position`, `target`, `up`, `fov` (vertical, degrees), `aspect`, `near`, `far`, from which the engine makes its own.
+- PlayCanvas and Godot: `side` of a mesh, and of the light its `direction`; its other settings are those of
+  `LightComponent` or of the light's node. Godot: `size` of the atlas or of the light's part of it, texels, and
+  `quality`, a number of `RenderingServer.SHADOW_QUALITY_`. It gives `picture` and, under spot and omni lights,
+  `unshadowed`, in sRGB, and no visibility.
 - In place of meshes, light and camera a job of the engine "three_file" has `scene`, the content of a file that
   `scene.toJSON()` of three.js gave; the engine's own loader reads it.
 - `outputs`: which of "mesh", "depth", "position", "normal", "map", "picture" to read back beside the visibility;

@@ -79,7 +79,26 @@ def test_an_engines_settings_are_its_rule_in_its_units():
     assert setting(filament, "options.normalBias") == pytest.approx(2 * of["filament"].normal_offset, rel=1e-3)
     unity = printed(engine="unity", **MAP)
     assert setting(unity, "light.shadowBias") == pytest.approx(of["unity"].constant / 2.5, rel=1e-3)
-    assert set(of) == set(ENGINES)
+    assert set(of) <= set(ENGINES)
+
+
+def test_without_a_map_an_engines_own_is_taken_and_said():
+    text = printed(engine="three.js")
+    assert "for a map of 512², 10 wide and 499.5 deep (--map, --window, --depth: three.js's own" in text
+    assert "a texel is 0.01953 world units wide" in text
+    assert "--map" not in printed(engine="three.js", size=512, window=10.0, depth=499.5).splitlines()[0]
+    # What is given stays.
+    text = printed(engine="bevy", size=1024)
+    assert "for a map of 1024²" in text
+    assert "(--window, --depth: Bevy's own" in text
+
+
+@pytest.mark.parametrize("engine", sorted(set(ENGINES) - set(rules.ENGINE_RULES)))
+def test_an_engine_without_a_rule_says_what_it_ships(engine):
+    text = printed(engine=engine)
+    shipped = {"playcanvas": "shadowBias = 0.05, normalOffsetBias = 0", "godot_compatibility": "shadow_bias = 0.1,"}
+    assert f"{ENGINES[engine]} ships {shipped[engine]}" in text
+    assert "no rule has been measured for it" in text
 
 
 @pytest.mark.parametrize(
@@ -92,8 +111,10 @@ def test_an_engines_settings_are_its_rule_in_its_units():
         (["--filter", "pcf", "--radius", "nan"], "expected 0 to"),
         (["--radius", "2"], "--radius is given without --filter"),
         (["--map", "512"], "--map is given without --engine"),
-        (["--engine", "godot"], "without --map and --window and --depth"),
-        (["--engine", "godot", "--map", "0", "--window", "1", "--depth", "1"], "--map is 0; expected more than 0"),
+        (
+            ["--engine", "godot", "--map", "0"],
+            "--map is 0; expected more than 0 and at most 8192; change it, as in diffshadow defaults --engine",
+        ),
         (["--engine", "godot", "--filter", "pcf"], "given with a filter"),
         (["--engine", "gdot"], "Choose from"),
     ],

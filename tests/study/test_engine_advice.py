@@ -62,6 +62,7 @@ HAS = {
     "unity": (["shadowBias", "shadowNormalBias"], ["Hard", "Soft, Low", "Soft, Medium", "Soft, High"]),
     "three.js": (["bias", "normalBias"], ["BasicShadowMap", "PCFShadowMap", "VSMShadowMap"]),
     "babylon.js": (["bias", "normalBias"], ["NONE", "POISSONSAMPLING", "PCF", "PCSS"]),
+    "godot_compatibility": (["shadow_bias", "shadow_normal_bias"], ["HARD", "SOFT_LOW", "SOFT_HIGH"]),
     "playcanvas": (["shadowBias", "normalOffsetBias"], ["PCF1_32F", "PCF3_32F", "PCF5_32F"]),
 }
 

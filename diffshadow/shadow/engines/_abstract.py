@@ -3,7 +3,7 @@
 import abc
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -200,7 +200,7 @@ class AbstractEngineShadows(AbstractTechnique):
         """
         raise NotImplementedError
 
-    def as_wide(self, radius: float, frame: LightFrame) -> Self:
+    def as_wide(self, radius: float, frame: LightFrame) -> "AbstractEngineShadows":
         """With that of the engine's filters which is nearly as wide as a disk with `radius` texels."""
         settings = self.settings
         names = settings.point_filters if frame.kind == "point" else settings.filters
@@ -213,7 +213,7 @@ class AbstractEngineShadows(AbstractTechnique):
         """What the bias and the filter are without an engine's unit; arguments are as for `frame`."""
 
     @abc.abstractmethod
-    def biased(self, frame: LightFrame, shift: float, offset: float, distance: float) -> Self:
+    def biased(self, frame: LightFrame, shift: float, offset: float, distance: float) -> "AbstractEngineShadows":
         """With the engine's own biases that amount to a `shift` towards the light and an `offset` along normals, both
         in world units; other arguments are as for `frame`.
 

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -136,9 +136,7 @@ class Bevy(AbstractEngineShadows):
                     [_camera(view, cone_projection(tangent, near, math.inf), near, _INFINITY)], True
                 )
             case MatrixLight():
-                given, pose = light.view(), np.asarray(light.world_to_eye)
-                near, far = float(given.near), float(given.far)
-                one = _camera(pose, np.asarray(light.eye_to_clip), near, far)
+                one = camera_of(light)
                 if light.is_perspective:
                     return EngineCameras.of([one], True)
                 return EngineCameras.of([one], False, scene.camera, [self.maximum_distance])
@@ -184,7 +182,7 @@ class Bevy(AbstractEngineShadows):
             "shadow_normal_bias": (Settings.shadow_normal_bias, 0.0, _MOST_NORMAL),
         }
 
-    def biased(self, frame: LightFrame, shift: float, offset: float, distance: float) -> Self:
+    def biased(self, frame: LightFrame, shift: float, offset: float, distance: float) -> "Bevy":
         normal = offset / frame.texel / _DIAGONAL
         return dataclasses.replace(self, shadow_depth_bias=shift, shadow_normal_bias=normal)
 
@@ -244,8 +242,15 @@ def _float(value: float) -> str:
     return text if any(each in text for each in ".e") else f"{text}.0"
 
 
-def _written(value: float) -> str:
+def _written(value: float | int) -> str:
     return str(value) if isinstance(value, int) else _float(value)
+
+
+def camera_of(light: MatrixLight) -> CameraOfLight:
+    """The camera of a light that is given by its matrices."""
+    given, matrices = light.view(), (light.world_to_eye, light.eye_to_clip)
+    pose, projection = (np.asarray(each) for each in matrices)
+    return _camera(pose, projection, float(given.near), float(given.far))
 
 
 def _camera(view: HostArray, projection: HostArray, near: float, far: float) -> CameraOfLight:

@@ -175,8 +175,6 @@ OFFSET_PROFILES: dict[str, OffsetProfile] = {
     "Bevy": "constant",
     "Filament": "sine",
     "Unity URP": "one_minus_cosine",
-    "PlayCanvas": "constant",
-    "Godot 4 Compatibility": "one_minus_cosine",
 }
 """How each engine's normal offset grows with the angle to the light."""
 

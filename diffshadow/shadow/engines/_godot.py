@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -82,8 +82,8 @@ class GodotCompatibility(AbstractEngineShadows):
         hundredths of the depth range over the distance, under a spot light tenths of its range over the distance; under
         a point light by world units. It changes the map, so under the first two it has no derivative.
     - `shadow_normal_bias`: how far receivers move along their normals, at each vertex: under a directional light in
-        texels times 1 - cos θ; otherwise `10 / size` of the distance times 1 - |cos θ|, where size is that of the
-        light's part of the atlas.
+        texels, less on faces that are turned away from it; otherwise `10 / size` of the distance times 1 - |cos θ|,
+        where size is that of the light's part of the atlas.
     - `directional_shadow_mode`: one camera, or four splits.
     - `directional_shadow_max_distance`, `directional_shadow_pancake_size`: how far shadows reach, and the room before
         what the camera sees, world units.
@@ -180,8 +180,7 @@ class GodotCompatibility(AbstractEngineShadows):
                 view = inverse_pose(upright_axes(plain(light.direction), 0.0), plain(light.position))
                 return EngineCameras.of([_camera(view, cone_projection(tangent, near, far), near, far)], True)
             case MatrixLight():
-                given, pose = light.view(), np.asarray(light.world_to_eye)
-                one = _camera(pose, np.asarray(light.eye_to_clip), float(given.near), float(given.far))
+                one = camera_of(light)
                 if light.is_perspective:
                     return EngineCameras.of([one], True)
                 return EngineCameras.of([one], False, scene.camera, [self._end(scene)])
@@ -237,7 +236,9 @@ class GodotCompatibility(AbstractEngineShadows):
         radius = 2 * math.sqrt((taps[:, 0] ** 2).mean())
         shift = float(self.shadow_bias) * self._shift(frame, distance)
         offset = float(self.shadow_normal_bias) * self._offset(frame, distance) / frame.texel
-        return PlainBias(shift, 0 if frame.kind == "point" else -1, offset, 1, "one_minus_cosine", radius)
+        # Under a directional light, 1 - cos θ is of the side that is turned away.
+        profile = "constant" if frame.kind == "directional" else "one_minus_cosine"
+        return PlainBias(shift, 0 if frame.kind == "point" else -1, offset, 1, profile, radius)
 
     def bounds(self, lights: Sequence[tuple[LightFrame, float]]) -> dict[str, tuple[float, float, float]]:
         return {
@@ -245,7 +246,7 @@ class GodotCompatibility(AbstractEngineShadows):
             "shadow_normal_bias": (1.0, 0.0, _MOST_NORMAL),
         }
 
-    def biased(self, frame: LightFrame, shift: float, offset: float, distance: float) -> Self:
+    def biased(self, frame: LightFrame, shift: float, offset: float, distance: float) -> "GodotCompatibility":
         bias, normal = shift / self._shift(frame, distance), offset / self._offset(frame, distance)
         return dataclasses.replace(self, shadow_bias=bias, shadow_normal_bias=normal)
 
@@ -295,6 +296,13 @@ class GodotCompatibility(AbstractEngineShadows):
         outside of the map is compared with its border. Faces turned away from the light are compared as all others.
         """
         return _visibility(self, state, surface)
+
+
+def camera_of(light: MatrixLight) -> CameraOfLight:
+    """The camera of a light that is given by its matrices."""
+    given, matrices = light.view(), (light.world_to_eye, light.eye_to_clip)
+    pose, projection = (np.asarray(each) for each in matrices)
+    return _camera(pose, projection, float(given.near), float(given.far))
 
 
 def _camera(

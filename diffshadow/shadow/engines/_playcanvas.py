@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -233,7 +233,7 @@ class PlayCanvas(AbstractEngineShadows):
             "normal_offset_bias": (0.0, 0.0, min(_MOST_TEXELS * offset, 1.0)),
         }
 
-    def biased(self, frame: LightFrame, shift: float, offset: float, distance: float) -> Self:
+    def biased(self, frame: LightFrame, shift: float, offset: float, distance: float) -> "PlayCanvas":
         if frame.kind == "point":
             values = {"shadow_bias": shift / frame.far / _PARTS, "normal_offset_bias": offset / distance}
             return dataclasses.replace(self, **{name: min(value, 1.0) for name, value in values.items()})
@@ -253,9 +253,10 @@ class PlayCanvas(AbstractEngineShadows):
             lines += [f"entity.setPosition({place(given.position, origin)});"]
         if given.target is not None:
             target = given.target if given.type == "spot" else given.direction
-            lines += ["const from = entity.getPosition();"] if given.type == "directional" else []
-            at = [f"from.{axis} + {number(value)}" for axis, value in zip("xyz", target or (), strict=False)]
-            towards = ", ".join(at) if given.type == "directional" else place(target or (), origin)
+            way = ", ".join(map(number, target or ()))
+            # Added to where it stands, which does not matter.
+            moved = f"entity.getPosition().clone().add(new pc.Vec3({way}))"
+            towards = moved if given.type == "directional" else place(target or (), origin)
             lines += [f"entity.lookAt({towards});", "entity.rotateLocal(90, 0, 0);  // it shines along its -y"]
         values: dict[str, str] = {"castShadows": "true", "shadowType": f"pc.SHADOW_{self.shadow_type}"}
         values["shadowResolution"] = str(self.resolution[0])

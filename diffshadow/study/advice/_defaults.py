@@ -3,6 +3,7 @@
 import difflib
 from collections.abc import Mapping
 from types import SimpleNamespace
+from typing import NamedTuple
 
 from rich.console import Console
 from rich.table import Table
@@ -12,7 +13,7 @@ from ...settings import filters, rules
 from ...settings.engines import ENGINES, POLYGON_OFFSETS, EngineName
 from ...settings.quantities import FARTHEST, MAX_TEXELS
 from ...settings.rules import Worth
-from ...shadow import engine_settings
+from ...shadow import ENGINE_TECHNIQUES, engine_settings
 from ..pages import _table as table
 from ..runs._formula_engines import FORMULA_ENGINES, beside, lines_of
 
@@ -33,6 +34,34 @@ _BESIDES: Mapping[EngineName, str] = {
 }
 
 
+_EXAMPLE = "diffshadow defaults --engine godot --map 2048 --window 40 --depth 100"
+
+
+class _Usual(NamedTuple):
+    """What an engine has where nobody sets anything: a map's side in texels, how wide and deep it is in world units,
+    and why."""
+
+    size: int
+    window: float
+    depth: float
+    why: str
+
+
+# The width and depth of the sphere about what a camera sees that is 16 : 9 and 50 degrees high, per unit of depth.
+_VIEW = 1.07
+_FIRST = "the first cascade, which follows the view camera: here 16 : 9 and 50 degrees high"
+_USUAL: Mapping[EngineName, _Usual] = {
+    "three.js": _Usual(512, 10.0, 499.5, "a shadow camera of ±5, from 0.5 to 500"),
+    "babylon.js": _Usual(1024, 20.0, 20.0, "its camera follows the casters: here 20 units across"),
+    "godot": _Usual(2048, 2 * _VIEW * 10, 2 * _VIEW * 10 + 20, f"a quarter of 4096; {_FIRST}, up to a tenth of 100"),
+    "bevy": _Usual(2048, 2 * _VIEW * 10, 2 * _VIEW * 10, f"{_FIRST}, up to 10"),
+    "filament": _Usual(1024, 2 * _VIEW * 50, 2 * _VIEW * 50, "one cascade for a view that is 50 units deep"),
+    "unity": _Usual(1024, 2 * _VIEW * 6, 2 * _VIEW * 6, f"a quarter of 2048; {_FIRST}, up to an eighth of 50"),
+    "playcanvas": _Usual(1024, 2 * _VIEW * 40, 2 * _VIEW * 40, "one map for what the view camera sees up to 40"),
+    "godot_compatibility": _Usual(2048, 2 * _VIEW * 10, 2 * _VIEW * 10 + 20, f"a quarter of 4096; {_FIRST}, up to 10"),
+}
+
+
 def print_defaults(
     *,
     console: Console,
@@ -50,7 +79,7 @@ def print_defaults(
     - `filter`, `radius`: a filter's type and its radius in texels. Its bias is printed as a part of a configuration.
     - `engine`: whose settings are printed instead, for its default filter under a directional light.
     - `size`, `window`, `depth`: of the engine's map: its side in texels, and how wide and deep the light's camera is,
-        in world units.
+        in world units; by default the engine's own.
 
     **Raises** `ValueError` for a filter without a rule, and for options that do not go together.
     """
@@ -65,16 +94,40 @@ def print_defaults(
         return
     if filter is not None or radius is not None:
         raise ValueError(f"--engine {engine} is given with a filter; expected one of them: its default filter is used")
+    usual = _USUAL[engine]
     missing = [f"--{name}" for name, value in of_map.items() if value is None]
-    if size is None or window is None or depth is None:
-        raise ValueError(
-            f"--engine {engine} is given without {' and '.join(missing)}; expected all of --map, --window and --depth: "
-            "an engine's units depend on them"
-        )
+    size, window, depth = (
+        own if given is None else given
+        for given, own in zip((size, window, depth), (usual.size, usual.window, usual.depth), strict=True)
+    )
     for name, value, most in (("map", size, MAX_TEXELS), ("window", window, FARTHEST), ("depth", depth, FARTHEST)):
         if not 0 < value <= most:
-            raise ValueError(f"--{name} is {value:g}; expected more than 0 and at most {most:g}; change it")
-    _print_engine(engine, size, window, depth, console)
+            raise ValueError(
+                f"--{name} is {value:g}; expected more than 0 and at most {most:g}; change it, as in {_EXAMPLE}"
+            )
+    if missing:
+        said = f"{', '.join(missing)}: {ENGINES[engine]}'s own; {usual.why}"
+        table.print_lines(console, [f"for a map of {size}², {window:.4g} wide and {depth:.4g} deep ({said})"])
+    if engine in rules.ENGINE_RULES:
+        _print_engine(engine, size, window, depth, console)
+    else:
+        _print_shipped(engine, window / size, console)
+
+
+def _print_shipped(engine: EngineName, texel: float, console: Console) -> None:
+    """What an engine without a rule has where nobody sets anything."""
+    settings = ENGINE_TECHNIQUES[engine].settings
+    given = [
+        f"{name} = {getattr(settings, key):g}" for key, name in zip(settings.biases, settings.bias_names, strict=True)
+    ]
+    table.print_lines(
+        console,
+        [
+            f"{ENGINES[engine]} ships {', '.join(given)}; a texel is {texel:.4g} world units wide",
+            "no rule has been measured for it",
+            f"for a scene of yours: diffshadow advise CONFIG --engine {engine}",
+        ],
+    )
 
 
 def _refuse(needed: str, of: str, given: Mapping[str, float | None]) -> None:
@@ -103,7 +156,7 @@ def _print_all(console: Console) -> None:
             f"price: the mean error over that of the best bias for each of {rules.SCENES} scenes; acne, leaks: the "
             "share of scenes where more than a thousandth of the light is wrongly missing, or there",
             "for a filter: diffshadow defaults --filter random_disk --radius 3",
-            "for an engine: diffshadow defaults --engine godot --map 2048 --window 40 --depth 100",
+            f"for an engine: {_EXAMPLE}",
         ],
     )
 

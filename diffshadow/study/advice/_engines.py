@@ -22,6 +22,7 @@ from ...settings.engines import ENGINES, Engine, EngineName
 from ...settings.techniques import SingleMap
 from ...shadow import ENGINE_TECHNIQUES
 from ..runs._engine import EngineFit, Lit, code_of, engine_fit, lit_by
+from ..runs._engine import code_file as suffixed
 from ..runs._formula_engines import FORMULA_ENGINES, code_of_formula, offered
 from ..runs._progress import Progress
 from ..runs._setup import draw, load
@@ -141,8 +142,8 @@ def engine_code(engine: EngineName, config: Config, filter_label: str) -> dict[s
 
 def code_file(engine: EngineName) -> str:
     """The file in a recommendation's folder that holds the code."""
-    known = FORMULA_ENGINES if engine in FORMULA_ENGINES else None
-    return f"engine.{ENGINE_TECHNIQUES[engine].settings.suffix if known is None else known[engine].suffix}"
+    known = FORMULA_ENGINES.get(engine)
+    return suffixed(ENGINE_TECHNIQUES[engine].settings.suffix if known is None else known.suffix)
 
 
 def title_of(engine: EngineName) -> str:

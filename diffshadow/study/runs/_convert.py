@@ -26,6 +26,7 @@ from ...shadow import (
     AbstractEngineShadows,
     AbstractTechnique,
     EngineSetting,
+    OffsetProfile,
     PlainBias,
     castano_radius,
     engine_code,
@@ -80,7 +81,8 @@ def convert(
     **Raises** `ConfigError` for a technique or a light that has none of these.
     """
     if not isinstance(config.technique, SingleMap | Engine):
-        expected = f"expected shadow_map, {', '.join(ENGINE_TECHNIQUES)}, whose bias is converted: change it"
+        *names, last = ENGINE_TECHNIQUES
+        expected = f"expected shadow_map, {', '.join(names)} or {last}, whose bias is converted: change it"
         what = f"is {config.technique.type}; {expected}"
         raise ConfigError([Mistake(config.origin.place(("technique", "type")), "technique.type", what)])
     technique = build_technique(config, fitting=False)
@@ -122,8 +124,9 @@ def _convert_to(
     fits: bool,
 ) -> None:
     """Prints finished code for one engine: with the same shift and offset, or fitted if it has no such bias."""
-    title, profile = ENGINES[engine], OFFSET_PROFILES[ENGINES[engine]]
-    others = [each for each in plain if each.offset and each.profile != profile]
+    title = ENGINES[engine]
+    has = [_profile_of(engine, config, each) for each in lit]
+    others = [each for each, profile in zip(plain, has, strict=True) if each.offset and each.profile != profile]
     reasons = lacking or [f"a normal offset with the profile {each.profile}" for each in others[:1]]
     if not reasons:
         try:
@@ -143,6 +146,19 @@ def _convert_to(
     table.print_lines(console, _instead(left, source, overrides, _ALONE))
 
 
+def _profile_of(engine: EngineName, config: Config, lit: Lit) -> OffsetProfile:
+    """How the engine's normal offset grows with the angle to the light."""
+    if not _is_drawn(engine, lit):
+        return OFFSET_PROFILES[ENGINES[engine]]
+    there = preset(engine, config)
+    return there.plain(there.frame(lit.scene, lit.distance), lit.distance).profile
+
+
+def _is_drawn(engine: EngineName, lit: Lit) -> bool:
+    """Whether the engine's shadows of this light are drawn here."""
+    return engine in ENGINE_TECHNIQUES and lit.kind in ENGINE_TECHNIQUES[engine].settings.kinds
+
+
 def _code_for(engine: EngineName, config: Config, technique: AbstractTechnique, lit: Lit, plain: PlainBias) -> str:
     """Code that gives an engine the shift, the offset and the filter's width of `plain`.
 
@@ -152,7 +168,7 @@ def _code_for(engine: EngineName, config: Config, technique: AbstractTechnique, 
     own = lit.texel
     if isinstance(technique, AbstractEngineShadows):
         own = technique.frame(lit.scene, lit.distance).texel
-    if engine not in ENGINE_TECHNIQUES:
+    if not _is_drawn(engine, lit):
         return _formula_code(engine, lit, size, plain, radius)
     there = preset(engine, config)
     frame = there.frame(lit.scene, lit.distance)
@@ -307,7 +323,9 @@ def _convert_by_fits(
             runs[name] = fit_technique(settings, progress)
         errors = {"this configuration": _errors_of(config, technique, progress)} if runs else {}
     if runs:
-        table.print_lines(console, [f"so {' and '.join(runs)} are fitted to the same reference, with their own bias:"])
+        are, their = ("is", "its") if len(runs) == 1 else ("are", "their")
+        said = f"so {' and '.join(runs)} {are} fitted to the same reference, with {their} own bias:"
+        table.print_lines(console, [said])
         table.print_rows(console, errors | {name: run.errors["after"] for name, run in runs.items()})
     for name, run in runs.items():
         for key, code in run.code.items():

@@ -186,6 +186,8 @@ def preset(name: EngineName, config: Config) -> shadow.AbstractEngineShadows:
     side = SIDES[config.shadow_map.cull]
     if name == "three.js":
         fields["shadow_side"] = side
+    elif name == "babylon.js":
+        fields["back_face_culling"] = side != "double"
     elif "side" in settings.each():
         fields["side"] = side
     return technique(**fields)
@@ -193,6 +195,11 @@ def preset(name: EngineName, config: Config) -> shadow.AbstractEngineShadows:
 
 def _bounds(initial: float, lower: float, upper: float) -> dict[str, float]:
     return {"initial": initial, "lower": lower, "upper": upper}
+
+
+def code_file(suffix: str) -> str:
+    """The file in a run's folder that holds an engine's code, in a language whose files end like this."""
+    return f"engine.{suffix}"
 
 
 def code_of(technique: shadow.FittableTechnique, config: Config, drawn: Sequence[Drawn]) -> dict[str, str]:
