@@ -8,7 +8,8 @@
   `casts` and `receives` (both true). three.js: `side` and `shadowSide`, each "front", "back" or "double" (the second
   None: as three.js chooses). Babylon.js: `backFaceCulling` (true), and `clockwise` (false): gives the engine its own
   winding in place of that of glTF files.
-- `light`: its `type` ("directional", "spot" or "point"; "omni" of PlayCanvas and Godot) and the engine's own settings by the engine's own names. For
+- `light`: its `type` ("directional", "spot" or "point"; "omni" of PlayCanvas and Godot) and the engine's own settings
+  by the engine's own names. For
   three.js those of the shadow stand here too, `camera` holding left, right, top, bottom, near and far.
 - `shadowType` (three.js): "Basic", "PCF", "PCFSoft" or "VSM".
 - `generator` (Babylon.js): `mapSize`, `usefullFloatFirst`, and the shadow generator's settings by their own names;
