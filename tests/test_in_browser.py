@@ -94,7 +94,7 @@ def test_a_fit_of_other_engines_holds_in_them(engines, engine, tmp_path):
     settings = TINY.split("technique:")[0] + f"technique: {technique}\nreference: {{samples: 16}}\n"
     with staying_in(tmp_path):
         Path("tiny.yaml").write_text(f"{settings}fit: {{parameters: {{{parameters}}}}}\n")
-        config = common.load(Path("tiny.yaml"), ("technique.subpixels=16",))
+        config = common.load(Path("tiny.yaml"), ("technique.subpixels=16", "scene.camera.resolution=[128, 128]"))
         case = common.draw(config)
         problem = common.problem_of(case)
         fitted = common.run_fit(config, problem).technique

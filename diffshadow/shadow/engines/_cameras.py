@@ -10,7 +10,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from ..._arithmetic import as_float
-from ..._types import HostArray
+from ..._types import HostArray, Scalar
 from ...geometry import AbstractCamera, AbstractLight, View
 from ._textures import rounded
 
@@ -43,6 +43,7 @@ class EngineCameras(AbstractLight):
     - `ends`: (k,), the depths along its axis up to which each is looked up, world units; beyond the last there are no
         shadows. None for a light without such ends.
     - `is_perspective`: whether it is a spot light rather than a directional one.
+    - `inner_cosine`: of a spot light's angle within which it shines with all its strength; None if that is its window.
     """
 
     world_to_eye: Float[Array, "k 4 4"] = eqx.field(converter=as_float)
@@ -54,6 +55,7 @@ class EngineCameras(AbstractLight):
     camera: View | None = None
     ends: Float[Array, " k"] | None = None
     is_perspective: bool = eqx.field(static=True, default=False)
+    inner_cosine: Scalar | None = None
 
     @classmethod
     def of(

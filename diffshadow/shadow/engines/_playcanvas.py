@@ -64,6 +64,8 @@ _SLOPES, _PARTS = 10.0, 0.01
 _FARTHEST, _NEAR = 0.99999, 1e-3
 # A light that is weaker than this part casts no shadow.
 _FAINT = 1e-5
+# The least difference of the cosines of a cone's angles.
+_NO_RIM = 1e-7
 # Bound of the normal offset in a fit.
 _MOST_TEXELS = 4.0
 _TETRAHEDRON = np.array([(1, 1, 1), (-1, -1, 1), (-1, 1, -1), (1, -1, -1)], np.float32)
@@ -178,8 +180,14 @@ class PlayCanvas(AbstractEngineShadows):
             case SpotLight():
                 axes, far = _axes_of(light.direction), plain([light.far])[0]
                 near, tangent = _NEAR * far, float(np.tan(np.deg2rad(plain([light.outer_angle])[0])))
-                view, projection = inverse_pose(axes, plain(light.position)), cone_projection(tangent, near, far)
-                return EngineCameras.of([_camera(view, projection, near, far)], True)
+                view, projection = (
+                    inverse_pose(_as_kept(axes), plain(light.position)),
+                    cone_projection(tangent, near, far),
+                )
+                inner = jnp.cos(jnp.deg2rad(light.inner_angle))
+                return dataclasses.replace(
+                    EngineCameras.of([_camera(view, projection, near, far)], True), inner_cosine=inner
+                )
             case MatrixLight():
                 is_spot = light.is_perspective
                 ends = None if is_spot else [self._end(scene)]
@@ -205,7 +213,7 @@ class PlayCanvas(AbstractEngineShadows):
             at[:2] = np.ceil(at[:2] * steps) / steps
             eye, far = _behind(at @ axes, axes, [box for box in boxes if box.meets(axes, at, radius)])
             place = _WHOLE if self.num_cascades == 1 else viewport(*QUARTERS[index], 0.5)
-            view, projection = inverse_pose(axes, eye), parallel_projection(radius, _FIRST, far)
+            view, projection = inverse_pose(_as_kept(axes), eye), parallel_projection(radius, _FIRST, far)
             cameras.append(_camera(view, projection, _FIRST, far, place))
         return EngineCameras.of(cameras, False, scene.camera, ends)
 
@@ -311,8 +319,10 @@ def _camera(
 
 
 def _axes_of(direction: Any) -> Float[HostArray, "3 3"]:
-    """To the right, up and back of the camera of a light that `lookAt` and `rotateLocal(90, 0, 0)` have turned: it
-    shines along its -y."""
+    """To the right, up and back of the node of a light's camera; the camera's view keeps them once more.
+
+    `lookAt` and `rotateLocal(90, 0, 0)` have turned the light, which shines along its -y.
+    """
     right, up, back = _as_kept(upright_axes(plain(direction), 0.0))
     right, back, down = _as_kept(np.stack([right, back, -up]))
     return np.stack([right, -down, back])
@@ -399,12 +409,14 @@ def _in_window(settings: PlayCanvas, state: EngineMap, surface: Surface) -> Floa
 
 
 def _in_cone(light: EngineCameras, points: Float[Array, "h w 3"]) -> Array:
-    """Whether a spot light shines on `points`."""
+    """Whether a spot light shines on `points` with more than a faint part of its strength."""
     view = light.view()
-    towards = points - light.position
-    distance, along = safe_norm(towards), view.distance(points)
-    cosine = 1 / jnp.sqrt(1 + 1 / view.eye_to_clip[1, 1] ** 2)
-    return (along > distance * cosine) & (distance < view.far * (1 - _FAINT))
+    distance = safe_norm(points - light.position)
+    outer = 1 / jnp.sqrt(1 + 1 / view.eye_to_clip[1, 1] ** 2)
+    inner = outer if light.inner_cosine is None else light.inner_cosine
+    from_edge = view.distance(points) / jnp.where(distance > 0, distance, 1) - outer
+    share = jnp.clip(from_edge / jnp.maximum(inner - outer, _NO_RIM), 0, 1)
+    return share * share * (3 - 2 * share) * jnp.maximum(1 - distance / view.far, 0) >= _FAINT
 
 
 def _in_cube(settings: PlayCanvas, state: EngineMap, surface: Surface) -> Float[Array, "h w"]:

@@ -96,10 +96,9 @@ def print_defaults(
         raise ValueError(f"--engine {engine} is given with a filter; expected one of them: its default filter is used")
     usual = _USUAL[engine]
     missing = [f"--{name}" for name, value in of_map.items() if value is None]
-    size, window, depth = (
-        own if given is None else given
-        for given, own in zip((size, window, depth), (usual.size, usual.window, usual.depth), strict=True)
-    )
+    size = usual.size if size is None else size
+    window = usual.window if window is None else window
+    depth = usual.depth if depth is None else depth
     for name, value, most in (("map", size, MAX_TEXELS), ("window", window, FARTHEST), ("depth", depth, FARTHEST)):
         if not 0 < value <= most:
             raise ValueError(

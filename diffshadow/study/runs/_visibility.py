@@ -252,7 +252,7 @@ class FittedRun:
             profiles={each.name: records.Profile.of(each) for each in result.profiles},
             front=[records.FrontPoint.of(point, values=named(point.values)) for point in result.front],
             code=self.code,
-            code_file=code_file(getattr(self.config.technique, "suffix", "js")),
+            code_file=code_file("js" if self.config is None else getattr(self.config.technique, "suffix", "js")),
             poses=poses,
             warnings=self.remarks,
             **about,
