@@ -245,3 +245,17 @@ def test_code_of_a_formula_has_the_engines_units(engine):
     assert ("beside the polygon offset" in code) == (engine in POLYGON_OFFSETS)
     hard = engine_code(engine, advice(engine).sweep.runs[0].config, filters[0])["scene.light"]
     assert values_of(hard)[offset] == 0
+
+
+@pytest.mark.exhaustive
+def test_the_page_shows_the_scene_with_the_engines_defaults_and_as_recommended(tmp_path):
+    found = advice("bevy")
+    folder = study.run_advise(found, console=QUIET)
+    with np.load(folder / "my_scene.npz") as stored:
+        images = dict(stored)
+    assert {"the engine's defaults", "recommended", "ray-traced"} <= set(images)
+    assert images["rmse recommended"] < images["rmse the engine's defaults"]
+    page = (folder / "report.html").read_text()
+    assert "Your scene in Bevy" in page
+    assert f"RMSE {float(images['rmse recommended']):.4f}" in page
+    assert (folder / "engine.rs").read_text().startswith("// Bevy 0.19.")

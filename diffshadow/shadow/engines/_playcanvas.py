@@ -184,7 +184,8 @@ class PlayCanvas(AbstractEngineShadows):
                     inverse_pose(_as_kept(axes), plain(light.position)),
                     cone_projection(tangent, near, far),
                 )
-                inner = jnp.cos(jnp.deg2rad(light.inner_angle))
+                angle = light.inner_angle
+                inner = None if angle is None else jnp.cos(jnp.deg2rad(angle))
                 return dataclasses.replace(
                     EngineCameras.of([_camera(view, projection, near, far)], True), inner_cosine=inner
                 )

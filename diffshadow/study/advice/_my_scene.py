@@ -36,8 +36,9 @@ def store_pictures(folder: Path, best: Config) -> None:
     errors = {name: measured(image, drawn)["rmse"] for name, image in images.items() if name != TRUTH}
     seen = np.asarray(drawn.surface.mask)
     with io.atomic_path(folder / FILE) as temporary, temporary.open("wb") as file:
-        arrays = {name: np.where(seen, image, 1) for name, image in images.items()}
-        np.savez_compressed(file, **arrays, **{f"rmse {name}": np.float64(error) for name, error in errors.items()})
+        stored: dict[str, Any] = {name: np.where(seen, image, 1) for name, image in images.items()}
+        stored |= {f"rmse {name}": np.float64(error) for name, error in errors.items()}
+        np.savez_compressed(file, **stored)
 
 
 def _with_defaults(technique: shadow.AbstractEngineShadows) -> shadow.AbstractEngineShadows:
