@@ -15,7 +15,7 @@ def convert(config: Path, /, *overrides: str, engine: EngineName | None = None) 
 
     Of a finished fit, it converts the fitted values. To a bias that engines lack, such as a slope or a receiver plane,
     it fits the shadows of three.js and Babylon.js, which takes as long as two fits, and says how to fit what another
-    engine has. The technique may be three.js' or Babylon.js' own.
+    engine has. The technique may be an engine's own.
 
     Example: `diffshadow convert runs/quickstart`
 

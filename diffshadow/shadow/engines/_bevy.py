@@ -190,9 +190,9 @@ class Bevy(AbstractEngineShadows):
         is_spot = given.type == "spot"
         normal = float(self.shadow_normal_bias)
         kind = "SpotLight" if is_spot else "DirectionalLight"
-        at = f"Transform::from_xyz({place(given.position, origin)})" if is_spot else "Transform::default()"
+        at = f"Transform::from_xyz({_floats(place(given.position, origin))})" if is_spot else "Transform::default()"
         turned = (
-            f"looking_at(Vec3::new({place(given.target or (), origin)}), Vec3::Y)"
+            f"looking_at(Vec3::new({_floats(place(given.target or (), origin))}), Vec3::Y)"
             if is_spot
             else f"looking_to(Vec3::new({', '.join(map(_float, given.direction or ()))}), Vec3::Y)"
         )
@@ -238,8 +238,12 @@ class Bevy(AbstractEngineShadows):
 
 
 def _float(value: float) -> str:
-    text = number(value)
-    return text if any(each in text for each in ".e") else f"{text}.0"
+    return _floats(number(value))
+
+
+def _floats(numbers: str) -> str:
+    """Numbers, apart by commas, as Rust's floats: a whole one has a point."""
+    return ", ".join(text if any(each in text for each in ".e") else f"{text}.0" for text in numbers.split(", "))
 
 
 def _written(value: float | int) -> str:

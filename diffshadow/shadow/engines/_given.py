@@ -210,7 +210,8 @@ def fitted_directional_light(
 
     **Raises** what `DirectionalLight` raises.
     """
-    return DirectionalLight(direction, (0.0, 0.0, 0.0), (1.0, 1.0), 0.0, 1.0, angular_radius)
+    # Any frustum: a light that stands before it keeps the direction's digits in code.
+    return DirectionalLight(direction, (0.0, 0.0, 0.0), (1.0, 1.0), 1.0, 2.0, angular_radius)
 
 
 def playcanvas_spot_light(
