@@ -44,7 +44,7 @@ def missing() -> str | None:
 
 
 def draw(jobs: Sequence[Mapping[str, Any]]) -> list[Drawing]:
-    """Draws each job, with the outputs of PlayCanvas' ones but the depth; cascades are layers of the map, (k, n, n).
+    """Draws each job, with the outputs of PlayCanvas' ones but the depth; cascades are one above the other, (k n, n).
 
     **Raises** `EngineError` if the program is missing or fails.
     """
@@ -72,7 +72,7 @@ def _drawn(job: Mapping[str, Any], seen: dict[str, dict[str, np.ndarray]]) -> Dr
         maps = [_floats(output(_MAP, layer))[:, :size] for layer in range(layers)]
         # Its rows begin at the top, and so the map's first row is the picture's last.
         maps = [texels[-size:] for texels in maps]
-        arrays |= {**seen[key], "map": np.ascontiguousarray(np.stack(maps) if layers > 1 else maps[0])}
+        arrays |= {**seen[key], "map": np.concatenate(maps)}
     return Drawing(arrays, {"version": VERSION, "engine": "bevy"}, [])
 
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 FOLDER = Path(__file__).parent / "engines"
-ENGINES = ("three", "babylon", "playcanvas", "godot")
+ENGINES = ("three", "babylon", "playcanvas", "godot", "bevy")
 # A visibility is stored as a whole number of these.
 VISIBILITY_STEPS = 65535
 

@@ -340,15 +340,6 @@ class BevyConfig(EngineConfig, engines.Bevy):
 
     of_meshes = ("side",)
 
-    def faults(self) -> Iterator[Conflict]:
-        yield from super().faults()
-        ends = [("minimum_distance", self.minimum_distance), ("first_cascade_far_bound", self.first_cascade_far_bound)]
-        ends = ends[:1] if self.num_cascades == 1 else ends
-        ends.append(("maximum_distance", self.maximum_distance))
-        for (before, low), (after, high) in itertools.pairwise(ends):
-            if not low < high:
-                yield (after,), fault(f"is {high:g}, and {before} is {low:g}", "more than that", "raise it")
-
 
 class GodotCompatibilityConfig(EngineConfig, engines.GodotCompatibility):
     """The shadows of Godot 4.6 in its Compatibility renderer, by the names, units and defaults of its lights. The map

@@ -147,6 +147,11 @@ class Bevy(AbstractEngineShadows):
         world units, at whole texels."""
         axes = upright_axes(plain(light.direction), 0.0)
         ends = self._bounds()
+        if not self.minimum_distance < ends[0] <= ends[-1]:
+            raise ValueError(
+                f"the first cascade is from {self.minimum_distance:g} to {ends[0]:g}, and the last ends at "
+                f"{ends[-1]:g}; expected minimum_distance < first_cascade_far_bound <= maximum_distance: change one"
+            )
         begins = [self.minimum_distance, *((1 - self.overlap_proportion) * end for end in ends)]
         cameras = []
         for begin, end in zip(begins, ends, strict=False):

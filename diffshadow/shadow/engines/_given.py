@@ -8,6 +8,7 @@ import numpy as np
 from ..._types import HostArray, Resolution, Vec3
 from ...geometry import DirectionalLight, PointLight, SpotLight
 from ...settings import scene
+from ...settings.engines import Bevy
 from ...settings.maps import ShadowMap
 from ...settings.scene import ShadowCamera
 from ._axes import is_vertical, upright_axes
@@ -260,7 +261,7 @@ def bevy_spot_light(
     range: float = 20.0,
     outer_angle: float = math.pi / 4,
     inner_angle: float = 0.0,
-    shadow_map_near_z: float = 0.1,
+    shadow_map_near_z: float = Bevy.shadow_map_near_z,
     radius: float = scene.SpotLight.radius,
 ) -> SpotLight:
     """Bevy's spot light; defaults are the engine's.

@@ -1,15 +1,22 @@
-"""Bevy's shadows against its shaders, computed another way in NumPy."""
+"""Bevy's shadows against pictures that Bevy drew, and its shaders computed another way in NumPy."""
 
 import dataclasses
 import math
 
 import numpy as np
 import pytest
+from engine_states import agreement, scene_of, surface_of
+from golden_engines import engine_golden, engine_goldens
+from scenes import marked
 
 from diffshadow.geometry import PinholeCamera, PointLight, Scene, library_mesh
 from diffshadow.raster import draw_surface
 from diffshadow.shadow import Bevy
 
+pytestmark = pytest.mark.optimized
+
+CASES = engine_goldens("bevy")
+ENOUGH, ENOUGH_BY_OWN_MAP = 0.9995, 0.999
 SIZE = 64
 CAMERA = PinholeCamera((1.9, 1.9, 2.4), (0.05, 0.25, 0.0), fov_y=33, near=0.5, far=20, resolution=(48, 60))
 DIRECTION, PLACE = (1.6, -2.8, -1.4), (-1.3, 2.6, 1.2)
@@ -154,3 +161,58 @@ def test_a_caster_before_the_first_cascade_is_flattened():
 def test_a_point_light_is_refused():
     with pytest.raises(ValueError, match="PointLight; expected a directional, spot or matrix light"):
         Bevy(resolution=(SIZE, SIZE)).prepare(scene(PointLight((0, 2, 0), 0.1, 9.0)))
+
+
+# --- Pictures that Bevy drew ---
+
+
+def preset(golden) -> Bevy:
+    """The engine's settings."""
+    given = golden.settings["light"]
+    kept = {name: given[name] for name in Bevy.settings.each() if name in given and name != "type"}
+    size = golden.settings["mapSize"]
+    method = golden.settings["filter"]
+    return Bevy(**kept, shadow_filtering_method=method, side="double", resolution=(size, size))
+
+
+def scene_in(golden) -> Scene:
+    given = golden.settings["light"]
+    if given["type"] == "directional":
+        return scene_of(golden, Bevy.directional_light(given["direction"]))
+    cone = {name: given[name] for name in ("range", "outer_angle", "shadow_map_near_z")}
+    return scene_of(golden, Bevy.spot_light(given["position"], given["direction"], **cone))
+
+
+def from_read_back(golden, technique) -> float:
+    """The agreement from the engine's own map."""
+    rows, size = golden.arrays["map"].shape
+    stored = golden.arrays["map"].reshape(*(() if rows == size else (-1,)), size, size)
+    state = technique.from_map(stored, scene_in(golden))
+    return agreement(golden, technique.visibility(state, surface_of(golden)))
+
+
+def from_own_map(golden, technique) -> float:
+    return agreement(golden, technique.visibility(technique.prepare(scene_in(golden)), surface_of(golden)))
+
+
+FIRST = ("directional_two_cascades", "spot_low")
+"""Those that are compared in every run of the tests."""
+
+
+@pytest.mark.parametrize("name", marked(CASES, set(CASES) - set(FIRST)))
+def test_both_maps_give_the_engines_picture(name):
+    golden = engine_golden("bevy", name)
+    technique = preset(golden)
+    assert from_read_back(golden, technique) >= ENOUGH
+    assert from_own_map(golden, technique) >= ENOUGH_BY_OWN_MAP
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("name", ["directional_low", "directional_two_cascades", "spot_low"])
+@pytest.mark.parametrize("key", ["shadow_depth_bias", "shadow_normal_bias"])
+def test_a_setting_that_is_off_by_a_tenth_is_seen(name, key):
+    golden = engine_golden("bevy", name)
+    technique = preset(golden)
+    for factor in (0.9, 1.1):
+        wrong = dataclasses.replace(technique, **{key: getattr(technique, key) * factor})
+        assert from_own_map(golden, wrong) < 0.99
