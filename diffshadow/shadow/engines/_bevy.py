@@ -65,9 +65,10 @@ class Bevy(AbstractEngineShadows):
         directional light's cascades; distances in world units.
     - `shadow_map_near_z`: the near plane of a spot light, world units.
     - `side`: which faces the meshes' materials leave (`cull_mode`), and so cast: of all, or of each.
-    - `resolution`, `subpixels`, `compare`: see `AbstractEngineShadows`. Maps are square.
+    - `resolution`, `subpixels`, `compare`: see `AbstractEngineShadows`. Maps are square, and their side is a power of
+        two.
 
-    **Raises** `ValueError` for a map that is not square.
+    **Raises** `ValueError` for a map that is not so.
     """
 
     settings: ClassVar = Settings
@@ -89,6 +90,15 @@ class Bevy(AbstractEngineShadows):
 
     directional_light = staticmethod(fitted_directional_light)
     spot_light = staticmethod(bevy_spot_light)
+
+    def _check_rules(self):
+        super()._check_rules()
+        size = self.resolution[0]
+        if size & (size - 1):
+            raise ValueError(
+                f"Bevy.resolution is {self.resolution}; expected a power of two, to which the engine raises others: "
+                f"{1 << size.bit_length()}"
+            )
 
     def prepare(self, scene: Scene, surface: Surface | None = None) -> EngineMap:
         """The map of the scene's only light. It does not depend on `surface`.

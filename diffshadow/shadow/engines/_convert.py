@@ -1,7 +1,8 @@
 """One bias in the units of several engines.
 
-The formulas of three.js r187 and Babylon.js 9.34 are checked against pictures that these engines drew. The formulas of
-Godot 4, Bevy, Filament and Unity are read from their sources and documentation, and not verified against the engines.
+The formulas of three.js r187, Babylon.js 9.34, and Bevy 0.19 under directional and spot lights, are checked against
+pictures that these engines drew. The formulas of Godot 4, Filament and Unity, and of Bevy's point light, are read from
+their sources and documentation, and not verified against the engines.
 """
 
 import math
@@ -224,13 +225,14 @@ def _spot(c: _Common) -> list[EngineSetting]:
 
 
 def _point(c: _Common) -> list[EngineSetting]:
-    return [_read("Godot 4", "shadow_bias", c.b, c.shift(_WORLD, 0)), *_bevy(c), *_unity(c, 0.0)]
+    return [_read("Godot 4", "shadow_bias", c.b, c.shift(_WORLD, 0)), *_bevy(c, is_verified=False), *_unity(c, 0.0)]
 
 
-def _bevy(c: _Common) -> list[EngineSetting]:
+def _bevy(c: _Common, is_verified: bool = True) -> list[EngineSetting]:
+    of = lambda setting, value, note: EngineSetting("Bevy", setting, value, note, is_verified)
     return [
-        _read("Bevy", "shadow_depth_bias", c.b, c.shift(_WORLD, 0)),
-        _read("Bevy", "shadow_normal_bias", c.m / math.sqrt(2), c.offset("texels of the diagonal", 1)),
+        of("shadow_depth_bias", c.b, c.shift(_WORLD, 0)),
+        of("shadow_normal_bias", c.m / math.sqrt(2), c.offset("texels of the diagonal", 1)),
     ]
 
 

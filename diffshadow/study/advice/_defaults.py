@@ -213,7 +213,11 @@ def _print_engine(engine: EngineName, size: int, window: float, depth: float, co
             *([_BESIDES[engine]] if engine in _BESIDES else []),
             _sentence(rule.worth),
             f"what {ENGINES[engine]} ships: {_sentence(rule.shipped)}",
-            *([] if known is None else [f"read from {ENGINES[engine]}'s sources, and not verified against the engine"]),
+            *(
+                []
+                if known is None or engine in ENGINE_TECHNIQUES
+                else [f"read from {ENGINES[engine]}'s sources, and not verified against the engine"]
+            ),
             f"for a scene of yours: diffshadow advise CONFIG --engine {engine}",
         ],
     )

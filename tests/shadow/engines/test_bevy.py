@@ -158,6 +158,11 @@ def test_a_caster_before_the_first_cascade_is_flattened():
     assert (lit[np.asarray(surface.mask) & (at > 1.3)] > 0.9).mean() > 0.9
 
 
+def test_a_map_has_the_size_that_the_engine_gives_it():
+    with pytest.raises(ValueError, match=r"Bevy.resolution is \(160, 160\); expected a power of two, .* others: 256"):
+        Bevy(resolution=(160, 160))
+
+
 def test_a_point_light_is_refused():
     with pytest.raises(ValueError, match="PointLight; expected a directional, spot or matrix light"):
         Bevy(resolution=(SIZE, SIZE)).prepare(scene(PointLight((0, 2, 0), 0.1, 9.0)))
