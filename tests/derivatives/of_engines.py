@@ -78,7 +78,7 @@ _shadowed("PlayCanvas under a spot light", (0.1, 0.03, 0.8), _playcanvas, _camer
 _shadowed("PlayCanvas under a point light", (0.1, 0.03), _playcanvas, lamp, layers=(6,), low=0.1, high=0.5)
 
 _BEVY = "Bevy.shadow_depth_bias Bevy.shadow_normal_bias shadow.Bevy"
-_bevy = lambda *x: Bevy(*x, compare=SoftCompare(2.0), resolution=(12, 12))
+_bevy = lambda *x: Bevy(*x, compare=SoftCompare(2.0), resolution=(16, 16))
 _shadowed("Bevy under a spot light", (0.02, 0.3), _bevy, _cameras(bevy_camera_of), _BEVY, unit="reversed")
 
 # Receivers move at the corners of their only face, whose normals differ.
