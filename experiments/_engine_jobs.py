@@ -6,9 +6,9 @@ import _common as common
 import numpy as np
 from engines.engines import vertex_normals
 
-from diffshadow.shadow import BabylonJs, EngineLight, ThreeJs
+from diffshadow.shadow import AbstractEngineShadows, BabylonJs, EngineLight, GodotCompatibility, PlayCanvas, ThreeJs
 
-Engine = ThreeJs | BabylonJs
+Engine = AbstractEngineShadows
 NEAR = 1 / 255
 """The most that visibilities may differ by and count as equal."""
 
@@ -16,7 +16,8 @@ NEAR = 1 / 255
 def engine_job(case: common.Case, technique: Engine, drawn: list[Engine]) -> dict[str, Any]:
     """A scene as `engines.draw` takes it, with a drawing for each of `drawn`."""
     scene, camera = case.scene, case.scene.camera.view()
-    own = _three_js if isinstance(technique, ThreeJs) else _babylon_js
+    makers = {ThreeJs: _three_js, BabylonJs: _babylon_js, PlayCanvas: _playcanvas, GodotCompatibility: _godot}
+    own = makers[type(technique)]
     rows, columns = case.surface.mask.shape
     settings, materials = own(EngineLight.of(scene.light, technique.resolution), technique)
     meshes = []
@@ -83,6 +84,45 @@ def _babylon_js(light: EngineLight, technique: BabylonJs) -> tuple[dict[str, Any
     }
 
 
+def _playcanvas(light: EngineLight, technique: PlayCanvas) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What is PlayCanvas' own of a job, and of its meshes."""
+    given: dict[str, Any] = {"type": "omni" if light.type == "point" else light.type}
+    if light.type == "directional":
+        given |= {"shadowDistance": technique.shadow_distance, "numCascades": technique.num_cascades}
+        given |= {"cascadeDistribution": technique.cascade_distribution, "direction": light.direction}
+    else:
+        given |= {"position": light.position, "range": light.far}
+    if light.angle is not None:
+        angle = float(np.degrees(light.angle))
+        given |= {"direction": light.direction, "outerConeAngle": angle, "innerConeAngle": angle}
+    given |= {"shadowType": technique.shadow_type, "shadowResolution": technique.resolution[0], **_shadow(technique)}
+    return {"engine": "playcanvas", "light": given}, {"side": technique.side}
+
+
+def _godot(light: EngineLight, technique: GodotCompatibility) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What is Godot's own of a job, and of its meshes."""
+    given: dict[str, Any] = {"type": "omni" if light.type == "point" else light.type}
+    if light.direction is not None:
+        given["direction"] = light.direction
+    if light.type == "directional":
+        names = ("max_distance", "pancake_size", "fade_start")
+        given |= {f"directional_shadow_{name}": getattr(technique, f"directional_shadow_{name}") for name in names}
+        given["directional_shadow_mode"] = MODES.index(technique.directional_shadow_mode)
+    else:
+        given |= {"position": light.position, "spot_range" if light.type == "spot" else "omni_range": light.far}
+    if light.angle is not None:
+        given["spot_angle"] = float(np.degrees(light.angle))
+    # A cube's faces are half as wide as the light's part of the atlas.
+    size = technique.resolution[0] * (2 if light.type == "point" else 1)
+    quality = QUALITIES.index(technique.soft_filter_quality)
+    job = {"engine": "godot", "size": size, "quality": quality, "light": {**given, **_shadow(technique)}}
+    return job, {"side": technique.side}
+
+
+QUALITIES = ("HARD", "SOFT_VERY_LOW", "SOFT_LOW", "SOFT_MEDIUM", "SOFT_HIGH", "SOFT_ULTRA")
+MODES = ("SHADOW_ORTHOGONAL", "SHADOW_PARALLEL_2_SPLITS", "SHADOW_PARALLEL_4_SPLITS")
+
+
 def _shadow(technique: Engine) -> dict[str, Any]:
     """The shadow's own settings by the engine's names."""
     if isinstance(technique, ThreeJs):
@@ -93,6 +133,16 @@ def _shadow(technique: Engine) -> dict[str, Any]:
             "intensity": float(technique.intensity),
             "blurSamples": technique.blur_samples,
         }
+    if isinstance(technique, PlayCanvas):
+        return {
+            "shadowBias": float(technique.shadow_bias),
+            "normalOffsetBias": float(technique.normal_offset_bias),
+            "shadowIntensity": float(technique.shadow_intensity),
+        }
+    if isinstance(technique, GodotCompatibility):
+        names = ("shadow_bias", "shadow_normal_bias")
+        return {name: float(getattr(technique, name)) for name in names}
+    assert isinstance(technique, BabylonJs)
     return {
         "bias": float(technique.bias),
         "normalBias": float(technique.normal_bias),

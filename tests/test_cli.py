@@ -306,7 +306,10 @@ def test_convert_speaks_the_units_of_engines(capsys):
     assert run("convert", QUICKSTART, "scene.light={type: rectangle, position: [0, 3, 0]}", *small) == 2
     assert "scene.light: the light is a RectangleLight; expected a directional" in capsys.readouterr().err
     assert run("convert", QUICKSTART, "technique.type=shadow_volumes", *small) == 2
-    assert "technique.type: is shadow_volumes; expected shadow_map, three.js or babylon.js" in capsys.readouterr().err
+    assert (
+        "technique.type: is shadow_volumes; expected shadow_map, three.js, babylon.js, playcanvas, bevy or"
+        in capsys.readouterr().err
+    )
 
 
 def test_convert_speaks_of_one_engine_in_the_units_of_another(capsys):

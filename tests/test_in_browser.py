@@ -47,13 +47,67 @@ def engines(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("engine", "name"), [("three", "directional_pcf_radius_4"), ("babylon", "directional_pcf_high")]
+    ("engine", "name"),
+    [
+        ("three", "directional_pcf_radius_4"),
+        ("babylon", "directional_pcf_high"),
+        ("playcanvas", "spot_pcf1_bias"),
+        ("godot", "directional_four_splits"),
+    ],
 )
 def test_a_golden_is_drawn_again(engines, engine, name):
+    lack = engines.missing([engine])
+    if lack is not None:
+        pytest.skip(lack)
     golden = engine_golden(engine, name)
-    (drawing,) = engines.draw([golden.settings])
+    (drawing,) = engines.draw([{"outputs": [], **golden.settings}])
+    if engine == "godot":
+        # Of bytes.
+        np.testing.assert_array_equal(drawing.arrays["picture"], golden.arrays["picture"])
+        return
     off = np.abs(drawing.arrays["visibility"].clip(0, 1) - golden.arrays["visibility"])
     assert (off < 1e-4).mean() > 0.999
+
+
+# PlayCanvas and Godot draw the fitted setting as it was predicted. The camera and the light are those of `TINY`.
+OTHERS = {
+    "playcanvas": (
+        "{type: playcanvas, shadow_distance: 8}",
+        "technique.shadow_bias: {lower: 0, upper: 1}, technique.normal_offset_bias: {lower: 0, upper: 0.2}",
+    ),
+    "godot": (
+        "{type: godot_compatibility, directional_shadow_mode: SHADOW_ORTHOGONAL, directional_shadow_max_distance: 8}",
+        "technique.shadow_bias: {lower: 0, upper: 4}, technique.shadow_normal_bias: {lower: 0, upper: 4}",
+    ),
+}
+
+
+@pytest.mark.parametrize("engine", OTHERS)
+def test_a_fit_of_other_engines_holds_in_them(engines, engine, tmp_path):
+    lack = engines.missing([engine])
+    if lack is not None:
+        pytest.skip(lack)
+    import _common as common
+    from _engine_jobs import engine_job
+
+    technique, parameters = OTHERS[engine]
+    settings = TINY.split("technique:")[0] + f"technique: {technique}\nreference: {{samples: 16}}\n"
+    with staying_in(tmp_path):
+        Path("tiny.yaml").write_text(f"{settings}fit: {{parameters: {{{parameters}}}}}\n")
+        config = common.load(Path("tiny.yaml"), ("technique.subpixels=16", "scene.camera.resolution=[128, 128]"))
+        case = common.draw(config)
+        problem = common.problem_of(case)
+        fitted = common.run_fit(config, problem).technique
+    (drawing,) = engines.draw([engine_job(case, fitted, [fitted] if engine == "playcanvas" else [])])
+    predicted = np.asarray(common.visibility(problem.laid_out(fitted), fitted))
+    if engine == "godot":
+        picture = drawing.arrays["picture"] / 255
+        picture = np.where(picture <= 0.04045, picture / 12.92, ((picture + 0.055) / 1.055) ** 2.4)
+    else:
+        picture = drawing.arrays["grid"][0]
+    truth, mask = np.asarray(case.truth.visibility), np.asarray(problem.mask)
+    error = lambda image: float(np.sqrt(np.mean((image - truth)[mask] ** 2)))
+    assert error(picture) == pytest.approx(error(predicted), rel=0.02)
 
 
 def test_a_fit_holds_in_the_engine(tmp_path):

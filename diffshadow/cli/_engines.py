@@ -12,24 +12,28 @@ from ._jax import start_jax
 
 
 @app.command
-def convert(config: Path, /, *overrides: str) -> None:
-    """Prints the bias and the radius of CONFIG in the units of three.js, Babylon.js, Godot, Bevy, Filament and Unity.
+def convert(config: Path, /, *overrides: str, engine: EngineName | None = None) -> None:
+    """Prints the bias and the radius of CONFIG in the units of engines, or the code for one of them.
 
     Of a finished fit, it converts the fitted values. To a bias that engines lack, such as a slope or a receiver plane,
     it fits the shadows of three.js and Babylon.js, which takes as long as two fits, and says how to fit what another
-    engine has. The technique may be three.js' or Babylon.js' own.
+    engine has. The technique may be an engine's own.
 
     Example: `diffshadow convert runs/quickstart`
 
     Example: `diffshadow convert configs/quickstart.yaml bias.slope=0 bias.constant=1.5`
 
+    Example: `diffshadow convert runs/quickstart --engine bevy`
+
     Parameters
     ----------
     config
-        YAML file with technique type shadow_map, three.js or babylon.js, mesh file, folder of a finished run or
+        YAML file with technique type shadow_map or an engine's, mesh file, folder of a finished run or
         builtin:NAME.
     overrides
         KEY=VALUE pairs that replace values of the file, such as `bias.constant=2`.
+    engine
+        The only engine to convert to: its finished code is printed.
     """
     file, origin = settings_file(config)
     settings = load_config(file, overrides)
@@ -38,7 +42,7 @@ def convert(config: Path, /, *overrides: str) -> None:
     start_jax()
     from .. import study
 
-    study.convert(settings, console=Console(), origin=origin, source=config, overrides=overrides)
+    study.convert(settings, console=Console(), origin=origin, source=config, overrides=overrides, engine=engine)
 
 
 @app.command
@@ -91,6 +95,8 @@ def defaults(
 
     Example: `diffshadow defaults --filter random_disk --radius 3`
 
+    Example: `diffshadow defaults --engine three.js`
+
     Example: `diffshadow defaults --engine godot --map 2048 --window 40 --depth 100`
 
     Example: `diffshadow defaults --engine unity --light spot --map 1024 --angle 30 --near 0.5 --depth 20 --distance 6`
@@ -104,11 +110,11 @@ def defaults(
     engine
         Engine whose settings are printed, for its default filter.
     map
-        Texels along a side of the engine's map.
+        Texels along a side of the engine's map, by default as the engine has it.
     window
-        How wide a directional light's shadow camera is, in world units.
+        How wide a directional light's shadow camera is, in world units, by default as in the engine.
     depth
-        Its far plane less its near plane, in world units.
+        Its far plane less its near plane, in world units, for a directional light by default as in the engine.
     light
         Kind of the engine's light.
     angle

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from .._arithmetic import with_gradient_of
-from .._types import Scalar
 from ._pages import Pages, Tile
 from ._transforms import transform_points, transform_vectors
 from ._warp import Warp
@@ -20,7 +19,8 @@ class View(eqx.Module):
 
     - `world_to_eye`: (4, 4), rigid; the eye looks along `-z`.
     - `eye_to_clip`: (4, 4), OpenGL clip space.
-    - `near`, `far`: distances along the view axis of window depth 0 and 1, in world units.
+    - `near`, `far`: distances along the view axis of window depth 0 and 1, in world units. Of several views, one for
+        all, or (l,).
     - `is_perspective`: whether sizes shrink with distance.
     - `steps`: (2,), for a parallel view: into how many steps along x and y each unit of clip space is divided. Vertices
         are drawn at whole steps, counted from the eye's axis rather than the window's border. A window that moves by
@@ -35,8 +35,8 @@ class View(eqx.Module):
 
     world_to_eye: Float[Array, "*l 4 4"]
     eye_to_clip: Float[Array, "*m 4 4"]
-    near: Scalar
-    far: Scalar
+    near: Float[Array, "*n"]
+    far: Float[Array, "*n"]
     is_perspective: bool = eqx.field(static=True)
     steps: Float[Array, "*k 2"] | None = None
     warp: Warp | None = None
@@ -50,6 +50,8 @@ class View(eqx.Module):
             return self
         each = lambda matrix: matrix[layer] if matrix.ndim > 2 else matrix
         view = self._with(each(self.world_to_eye), each(self.eye_to_clip))
+        if jnp.ndim(self.near):
+            view = dataclasses.replace(view, near=self.near[layer], far=self.far[layer])
         return view if self.tile is None else dataclasses.replace(view, tile=self.tile.facing(layer), pages=None)
 
     def whole(self, resolution: tuple[int, int]) -> tuple[int | Int[Array, "*n"], int | Int[Array, "*n"]]:

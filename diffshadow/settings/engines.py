@@ -1,9 +1,10 @@
 """Settings of the techniques that draw shadows as real-time engines do, in the engines' own names and units."""
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from ._settings import Fitted, Form, Limits, Unit
 from .quantities import FARTHEST, Fraction, Texels
+from .scene import LightKind
 from .techniques import Technique
 
 Side = Literal["front", "back", "double"]
@@ -28,7 +29,17 @@ BabylonFilter = Literal[
 """A `FILTER_` constant of the shadow generator, without that prefix."""
 BabylonQuality = Literal["HIGH", "MEDIUM", "LOW"]
 """A `QUALITY_` constant of the shadow generator."""
-EngineName = Literal["godot", "bevy", "filament", "unity", "three.js", "babylon.js"]
+PlayCanvasShadow = Literal["PCF1_32F", "PCF3_32F", "PCF5_32F"]
+"""A `SHADOW_` constant of PlayCanvas, without that prefix."""
+BevyFilter = Literal["Gaussian", "Hardware2x2"]
+"""A `ShadowFilteringMethod` of Bevy."""
+GodotQuality = Literal["HARD", "SOFT_VERY_LOW", "SOFT_LOW", "SOFT_MEDIUM", "SOFT_HIGH", "SOFT_ULTRA"]
+"""A `RenderingServer.SHADOW_QUALITY_` constant of Godot, without that prefix."""
+GodotMode = Literal["SHADOW_ORTHOGONAL", "SHADOW_PARALLEL_4_SPLITS"]
+"""A `directional_shadow_mode` of Godot."""
+EngineName = Literal[
+    "godot", "bevy", "filament", "unity", "three.js", "babylon.js", "playcanvas", "godot_compatibility"
+]
 """An engine, as one names it to the command."""
 ENGINES: dict[EngineName, str] = {
     "godot": "Godot 4",
@@ -37,11 +48,13 @@ ENGINES: dict[EngineName, str] = {
     "unity": "Unity URP",
     "three.js": "three.js",
     "babylon.js": "Babylon.js",
+    "playcanvas": "PlayCanvas",
+    "godot_compatibility": "Godot 4 Compatibility",
 }
 """The engines, and how sentences name them."""
 POLYGON_OFFSETS: dict[EngineName, tuple[float, float]] = {"filament": (2.0, 0.5), "unity": (2.5, 1.0)}
 """The factor and the units of the polygon offset with which engines draw their maps beside the bias of a light."""
-ImportedTechnique = Literal["three.js", "shadow_map"]
+ImportedTechnique = Literal["three.js", "shadow_map", "playcanvas", "bevy", "godot_compatibility"]
 """The technique of a configuration that is made of an engine's scene."""
 
 _Sides = Annotated[Sides, Form("front, back or double, or a list with one of them for each mesh")]
@@ -53,9 +66,27 @@ _Length = Annotated[float, Limits(-FARTHEST, FARTHEST), Unit("world units")]
 
 class Engine(Technique):
     """The shadows of an engine. Its map has the resolution of the section shadow_map; filter, bias and compare are the
-    engine's own."""
+    engine's own.
+
+    - `biases`: the keys of its depth bias and its normal bias, and `bias_names` what the engine calls them.
+    - `filter_key`: the key that chooses its filter, and `filters` those that are fitted, of directional and spot lights
+        and of point lights.
+    - `kinds`: of the lights that it draws.
+    - `has_square_maps`: whether the maps of all lights must be square.
+    - `default_size`: of its maps, texels along a side.
+    - `suffix`: of a file in its users' language.
+    """
 
     is_whole = True
+    biases: ClassVar[tuple[str, str]] = ("bias", "normal_bias")
+    bias_names: ClassVar[tuple[str, str]] = ("bias", "normalBias")
+    filter_key: ClassVar[str]
+    filters: ClassVar[tuple[str, ...]]
+    point_filters: ClassVar[tuple[str, ...]]
+    kinds: ClassVar[tuple[LightKind, ...]] = ("directional", "spot", "point")
+    has_square_maps: ClassVar[bool] = False
+    default_size: ClassVar[int]
+    suffix: ClassVar[str] = "js"
     subpixels: Annotated[
         int,
         Limits(1, 1 << 16),
@@ -66,6 +97,12 @@ class Engine(Technique):
 
 class ThreeJs(Engine):
     """The shadows of three.js r187, by the names, units and defaults of light.shadow and renderer.shadowMap."""
+
+    filter_key = "shadow_type"
+    filters = ("BasicShadowMap", "PCFShadowMap", "VSMShadowMap")
+    # The engine draws no VSM of a point light.
+    point_filters = ("BasicShadowMap", "PCFShadowMap")
+    default_size = 512
 
     type: Literal["three.js"] = "three.js"
     shadow_type: Annotated[ShadowType, "renderer.shadowMap.type"] = "PCFShadowMap"
@@ -90,6 +127,13 @@ class ThreeJs(Engine):
 class BabylonJs(Engine):
     """The shadows of Babylon.js 9.34 (WebGL2), by the names, units and defaults of its ShadowGenerator. The map must be
     square."""
+
+    filter_key = "filter"
+    filters = ("NONE", "POISSONSAMPLING", "PCF", "PCSS")
+    # Under a point light the engine draws the others as POISSONSAMPLING.
+    point_filters = ("NONE", "POISSONSAMPLING")
+    has_square_maps = True
+    default_size = 1024
 
     type: Literal["babylon.js"] = "babylon.js"
     filter: Annotated[BabylonFilter, "the generator's FILTER_ constant"] = "NONE"
@@ -128,3 +172,107 @@ class BabylonJs(Engine):
         "material.backFaceCulling of all meshes, or of each",
     ] = True
     float_maps: Annotated[bool, "usefullFloatFirst: floats rather than half floats in the map"] = False
+
+
+class PlayCanvas(Engine):
+    """The shadows of PlayCanvas 2.23 (WebGL2, without clustered lighting), by the names, units and defaults of its
+    LightComponent. The map must be square."""
+
+    biases = ("shadow_bias", "normal_offset_bias")
+    bias_names = ("shadowBias", "normalOffsetBias")
+    filter_key = "shadow_type"
+    filters = ("PCF1_32F", "PCF3_32F", "PCF5_32F")
+    # The engine draws PCF5 of a point light as PCF3.
+    point_filters = ("PCF1_32F", "PCF3_32F")
+    has_square_maps = True
+    default_size = 1024
+
+    type: Literal["playcanvas"] = "playcanvas"
+    shadow_type: Annotated[PlayCanvasShadow, "shadowType, a SHADOW_ constant"] = "PCF3_32F"
+    shadow_bias: Annotated[
+        Fraction,
+        Fitted(),
+        "shadowBias: ten times as many depth steps of casters, or a hundredth of it of a point light's range",
+    ] = 0.05
+    normal_offset_bias: Annotated[
+        Fraction, Unit("world units"), Fitted(), "normalOffsetBias: shift of receivers along their normals"
+    ] = 0.0
+    shadow_intensity: Annotated[Fraction, "shadowIntensity"] = 1.0
+    shadow_distance: Annotated[
+        float, Limits(0, FARTHEST, above_low=True), Unit("world units"), "shadowDistance of a directional light"
+    ] = 40.0
+    num_cascades: Annotated[int, Limits(1, 4), "numCascades of a directional light"] = 1
+    cascade_distribution: Annotated[
+        Fraction, "cascadeDistribution: from ends of cascades at equal parts to ends at equal ratios"
+    ] = 0.5
+    side: Annotated[_Sides, "faces that material.cull leaves, of all meshes, or of each"] = "front"
+
+
+_Distance = Annotated[float, Limits(0, FARTHEST, above_low=True), Unit("world units")]
+
+
+class Bevy(Engine):
+    """The shadows of Bevy 0.19 under directional and spot lights, by the names, units and defaults of its lights. The
+    map must be square."""
+
+    biases = ("shadow_depth_bias", "shadow_normal_bias")
+    bias_names = ("shadow_depth_bias", "shadow_normal_bias")
+    filter_key = "shadow_filtering_method"
+    filters = ("Hardware2x2", "Gaussian")
+    point_filters = ()
+    kinds = ("directional", "spot")
+    has_square_maps = True
+    default_size = 2048
+    suffix = "rs"
+
+    type: Literal["bevy"] = "bevy"
+    shadow_filtering_method: Annotated[BevyFilter, "ShadowFilteringMethod of the camera"] = "Gaussian"
+    shadow_depth_bias: Annotated[_Length, Fitted(), "shadow_depth_bias: shift of receivers towards the light"] = 0.02
+    shadow_normal_bias: Annotated[
+        float,
+        Limits(0, 1024),
+        Unit("diagonals of a texel"),
+        Fitted(),
+        "shadow_normal_bias: shift of receivers along their normals",
+    ] = 1.8
+    num_cascades: Annotated[int, Limits(1, 4), "num_cascades of a directional light"] = 4
+    minimum_distance: Annotated[_Distance, "minimum_distance: where the first cascade begins"] = 0.1
+    maximum_distance: Annotated[_Distance, "maximum_distance: where the last cascade ends"] = 150.0
+    first_cascade_far_bound: Annotated[_Distance, "first_cascade_far_bound: where the first of several ends"] = 10.0
+    overlap_proportion: Annotated[
+        float, Limits(0, 1, below_high=True), "overlap_proportion: the share in which a cascade fades into the next"
+    ] = 0.2
+    shadow_map_near_z: Annotated[_Distance, "shadow_map_near_z: near plane of a spot light"] = 0.1
+    side: Annotated[_Sides, "faces that cull_mode of the material leaves, of all meshes, or of each"] = "front"
+
+
+class GodotCompatibility(Engine):
+    """The shadows of Godot 4.6 in its Compatibility renderer, by the names, units and defaults of its lights. The map
+    must be square."""
+
+    biases = ("shadow_bias", "shadow_normal_bias")
+    bias_names = ("shadow_bias", "shadow_normal_bias")
+    filter_key = "soft_filter_quality"
+    filters = ("HARD", "SOFT_LOW", "SOFT_HIGH")
+    point_filters = ("HARD",)
+    has_square_maps = True
+    default_size = 4096
+    suffix = "gd"
+
+    type: Literal["godot_compatibility"] = "godot_compatibility"
+    soft_filter_quality: Annotated[GodotQuality, "SHADOW_QUALITY of soft filters"] = "SOFT_LOW"
+    shadow_bias: Annotated[
+        float, Limits(0, 16), Fitted(searched=True), "shadow_bias: moves casters away from the light's camera"
+    ] = 0.1
+    shadow_normal_bias: Annotated[
+        float, Limits(0, 16), Fitted(), "shadow_normal_bias: shift of receivers along the normals of vertices"
+    ] = 2.0
+    directional_shadow_mode: Annotated[GodotMode, "directional_shadow_mode"] = "SHADOW_PARALLEL_4_SPLITS"
+    directional_shadow_max_distance: Annotated[_Distance, "directional_shadow_max_distance"] = 100.0
+    directional_shadow_pancake_size: Annotated[
+        float, Limits(0, FARTHEST), Unit("world units"), "directional_shadow_pancake_size: room before what is seen"
+    ] = 20.0
+    directional_shadow_fade_start: Annotated[
+        Fraction, "directional_shadow_fade_start: share of the distance where shadows begin to fade out"
+    ] = 0.8
+    side: Annotated[_Sides, "faces that the material's cull mode leaves, of all meshes, or of each"] = "front"

@@ -28,9 +28,22 @@ from .biases import (
     ReceiverPlane,
     SlopeBias,
 )
+from .biases import OffsetProfile as OffsetProfile
+from .engines import ENGINE_TECHNIQUES as ENGINE_TECHNIQUES
 from .engines import GODOT_QUALITIES as GODOT_QUALITIES
 from .engines import OFFSET_PROFILES as OFFSET_PROFILES
-from .engines import AbstractEngineShadows, BabylonJs, EngineLight, EngineMap, ThreeJs, engine_code, engine_settings
+from .engines import (
+    AbstractEngineShadows,
+    BabylonJs,
+    Bevy,
+    EngineLight,
+    EngineMap,
+    GodotCompatibility,
+    PlayCanvas,
+    ThreeJs,
+    engine_code,
+    engine_settings,
+)
 from .engines import EngineSetting as EngineSetting
 from .engines import LightFrame as LightFrame
 from .engines import PlainBias as PlainBias
@@ -73,6 +86,7 @@ __all__ = [
     "BabylonFilter",
     "BabylonJs",
     "BabylonQuality",
+    "Bevy",
     "Bias",
     "BiasTerms",
     "Bilinear",
@@ -86,6 +100,7 @@ __all__ = [
     "ExponentialVarianceShadowMap",
     "FittableTechnique",
     "FourTap",
+    "GodotCompatibility",
     "HardCompare",
     "IrregularScene",
     "IrregularZBuffer",
@@ -103,6 +118,7 @@ __all__ = [
     "PercentageCloserSoft",
     "PerceptronBias",
     "PerspectiveWarp",
+    "PlayCanvas",
     "ProjectiveShadow",
     "ProjectiveTexture",
     "RandomDisk",

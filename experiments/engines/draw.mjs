@@ -5,10 +5,13 @@
 
 import { appendFile, readFile, writeFile } from "node:fs/promises";
 import { createServer } from "node:http";
+import { createRequire } from "node:module";
 import path from "node:path";
-import { chromium } from "playwright-core";
 
 const HERE = import.meta.dirname;
+// Where the packages are, if not beside this file.
+const PACKAGES = process.env.NODE_ROOT ?? HERE;
+const { chromium } = createRequire(path.join(PACKAGES, "node_modules", "x.js"))("playwright-core");
 const TYPES = { ".html": "text/html", ".mjs": "text/javascript", ".js": "text/javascript", ".json": "application/json" };
 const FLAGS = [
   // The software rasterizer, so that every machine draws the same bits.
@@ -35,7 +38,8 @@ function serve(folder) {
         response.end();
         return;
       }
-      const file = name.startsWith("job/") ? inside(folder, name.slice(4)) : inside(HERE, name);
+      const file = name.startsWith("job/") ? inside(folder, name.slice(4))
+        : inside(name.startsWith("node_modules/") ? PACKAGES : HERE, name);
       const body = await readFile(file);
       response.writeHead(200, { "Content-Type": TYPES[path.extname(file)] ?? "application/octet-stream" });
       response.end(body);

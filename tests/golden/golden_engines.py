@@ -1,4 +1,4 @@
-"""Pictures that three.js and Babylon.js drew. `golden/README.md` says how they were made."""
+"""Pictures that engines drew. `golden/README.md` says how they were made."""
 
 import functools
 import json
@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 FOLDER = Path(__file__).parent / "engines"
-ENGINES = ("three", "babylon")
+ENGINES = ("three", "babylon", "playcanvas", "godot", "bevy")
 # A visibility is stored as a whole number of these.
 VISIBILITY_STEPS = 65535
 
@@ -21,7 +21,8 @@ class EngineGolden(NamedTuple):
     - `info`: matrices as flat lists of 16 with `clip = [x, y, z, 1] @ list.reshape(4, 4)`; near and far as used.
     - `arrays`: `visibility` (h, w), float32 in steps of 1/65535; `mesh` (h, w), index of what is seen, -1 for none;
       `position` and `normal` (h, w, 3), float32, as the engine interpolated them; `map`, and what its technique makes
-      of it. All with their bottom row first.
+      of it. All with their bottom row first. Of Godot, in place of all but the map, `picture` (h, w), uint8, in sRGB,
+      and under spot and point lights `unshadowed`, the same without shadows.
     """
 
     name: str
@@ -32,7 +33,7 @@ class EngineGolden(NamedTuple):
 
 
 def engine_goldens(engine: str) -> list[str]:
-    """The names of the pictures by "three" or "babylon"."""
+    """The names of the pictures by one of `ENGINES`."""
     return list(_index(engine)["cases"])
 
 
@@ -43,8 +44,9 @@ def engine_golden(engine: str, name: str) -> EngineGolden:
     settings = {**case["settings"], "meshes": [_mesh(mesh) for mesh in case["settings"]["meshes"]]}
     with np.load(FOLDER / f"{engine}.npz") as stored:
         arrays = {key: unpack(stored[entry]) for key, entry in case["arrays"].items()}
-    arrays["visibility"] = arrays["visibility"].astype(np.float32) / np.float32(VISIBILITY_STEPS)
-    arrays["mesh"] = arrays["mesh"].astype(np.int32)
+    if "visibility" in arrays:
+        arrays["visibility"] = arrays["visibility"].astype(np.float32) / np.float32(VISIBILITY_STEPS)
+        arrays["mesh"] = arrays["mesh"].astype(np.int32)
     return EngineGolden(name, engine, settings, case["info"], arrays)
 
 

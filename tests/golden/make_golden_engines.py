@@ -1,6 +1,6 @@
-"""Draws golden pictures with three.js and Babylon.js and stores them in the folder `engines` beside this script.
+"""Draws golden pictures with engines and stores them in the folder `engines` beside this script.
 
-    PYTHONPATH=. python tests/golden/make_golden_engines.py [three] [babylon]
+    PYTHONPATH=. python tests/golden/make_golden_engines.py [three] [babylon] [playcanvas] [godot] [bevy]
 
 needs Node.js, its packages and Chromium; it says how to install what is missing. Per engine there is
 
@@ -24,12 +24,22 @@ HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parents[1] / "experiments"))
 
 from _babylon_cases import babylon_cases  # noqa: E402
+from _bevy_cases import bevy_cases  # noqa: E402
 from _engine_scene import geometry  # noqa: E402
+from _godot_cases import godot_cases  # noqa: E402
+from _playcanvas_cases import playcanvas_cases  # noqa: E402
 from _three_cases import three_cases  # noqa: E402
+from engines import bevy_job  # noqa: E402
 from engines.engines import Drawing, draw  # noqa: E402
 from golden_engines import FOLDER, VISIBILITY_STEPS, pack, unpack  # noqa: E402
 
-CASES = {"three": three_cases, "babylon": babylon_cases}
+CASES = {
+    "three": three_cases,
+    "babylon": babylon_cases,
+    "playcanvas": playcanvas_cases,
+    "godot": godot_cases,
+    "bevy": bevy_cases,
+}
 OUTPUTS = ["mesh", "position", "normal", "map"]
 
 
@@ -46,6 +56,9 @@ def stored_arrays(drawing: Drawing) -> dict[str, np.ndarray]:
     **Raises** `ValueError` if an array cannot be restored to the last bit.
     """
     arrays = drawing.arrays
+    if "visibility" not in arrays:
+        # Pictures of bytes, and the map.
+        return {name: array if array.dtype == np.uint8 else pack(array) for name, array in arrays.items()}
     covered = arrays["mesh"] >= 0
     found = {
         "visibility": np.round(arrays["visibility"].astype(np.float64).clip(0, 1) * VISIBILITY_STEPS).astype(np.uint16),
@@ -86,9 +99,10 @@ def main() -> None:
     meshes = geometry()
     flat = {f"{name}_{key}": array for name, mesh in meshes.items() for key, array in mesh.items()}
     np.savez_compressed(FOLDER / "geometry.npz", **flat)
-    for engine in sys.argv[1:] or CASES:
+    # Bevy has to be built first.
+    for engine in sys.argv[1:] or [name for name in CASES if name != "bevy" or bevy_job.missing() is None]:
         cases = CASES[engine]()
-        drawings = draw([job(settings, meshes) for settings in cases.values()])
+        drawings = (bevy_job.draw if engine == "bevy" else draw)([job(settings, meshes) for settings in cases.values()])
         store(engine, cases, drawings)
         size = sum(path.stat().st_size for path in FOLDER.glob(f"{engine}.*"))
         print(f"{engine} {drawings[0].info['version']}: {len(cases)} pictures, {size / 1e3:.0f} kB")

@@ -93,7 +93,27 @@ def test_an_engines_settings_are_its_rule_in_its_units():
     assert setting(filament, "options.normalBias") == pytest.approx(2 * of["filament"].normal_offset, rel=1e-3)
     unity = printed(engine="unity", of_map=MAP)
     assert setting(unity, "light.shadowBias") == pytest.approx(of["unity"].constant / 2.5, rel=1e-3)
-    assert set(of) == set(ENGINES)
+    assert set(of) <= set(ENGINES)
+
+
+def test_without_a_map_an_engines_own_is_taken_and_said():
+    text = printed(engine="three.js")
+    assert "for a map of 512², 10 wide and 499.5 deep (--map, --window, --depth: three.js's own" in text
+    assert "a texel is 0.01953 world units wide" in text
+    given = study.LightOptions(map=512, window=10.0, depth=499.5)
+    assert "--map" not in printed(engine="three.js", of_map=given).splitlines()[0]
+    # What is given stays.
+    text = printed(engine="bevy", of_map=study.LightOptions(map=1024))
+    assert "for a map of 1024²" in text
+    assert "(--window, --depth: Bevy's own" in text
+
+
+@pytest.mark.parametrize("engine", sorted(set(ENGINES) - set(rules.ENGINE_RULES)))
+def test_an_engine_without_a_rule_says_what_it_ships(engine):
+    text = printed(engine=engine)
+    shipped = {"playcanvas": "shadowBias = 0.05, normalOffsetBias = 0", "godot_compatibility": "shadow_bias = 0.1,"}
+    assert f"{ENGINES[engine]} ships {shipped[engine]}" in text
+    assert "no rule has been measured for it" in text
 
 
 def test_settings_of_spot_and_point_lights_hold_at_their_distance():
@@ -130,7 +150,6 @@ def test_settings_of_spot_and_point_lights_hold_at_their_distance():
         (["--filter", "pcf", "--radius", "nan"], "expected 0 to"),
         (["--radius", "2"], "--radius is given without --filter"),
         (["--map", "512"], "--map is given without --engine"),
-        (["--engine", "godot"], "without --map and --window and --depth"),
         (
             ["--engine", "godot", "--light", "spot", "--map", "9"],
             "without --angle and --near and --depth and --distance",
@@ -138,7 +157,10 @@ def test_settings_of_spot_and_point_lights_hold_at_their_distance():
         (["--engine", "godot", "--light", "point", *NEAR, "--window", "9"], "--window is given for a point light"),
         (["--engine", "godot", "--light", "spot", *NEAR, "--angle", "90"], "--angle is 90; expected more than 0"),
         (["--distance", "3"], "--distance is given without --engine"),
-        (["--engine", "godot", "--map", "0", "--window", "1", "--depth", "1"], "--map is 0; expected more than 0"),
+        (
+            ["--engine", "godot", "--map", "0"],
+            "--map is 0; expected more than 0 and at most 8192; change it, as in diffshadow defaults --engine",
+        ),
         (["--engine", "godot", "--filter", "pcf"], "given with a filter"),
         (["--engine", "gdot"], "Choose from"),
     ],

@@ -16,6 +16,7 @@ from diffshadow import study
 from diffshadow.config import ConfigError, load_config
 from diffshadow.settings.engines import ENGINES, POLYGON_OFFSETS
 from diffshadow.settings.rules import ENGINE_RULES
+from diffshadow.shadow import ENGINE_TECHNIQUES
 from diffshadow.study.advice import _advise as module
 from diffshadow.study.advice._engines import engine_code
 from diffshadow.study.advice._times import times_of
@@ -61,6 +62,8 @@ HAS = {
     "unity": (["shadowBias", "shadowNormalBias"], ["Hard", "Soft, Low", "Soft, Medium", "Soft, High"]),
     "three.js": (["bias", "normalBias"], ["BasicShadowMap", "PCFShadowMap", "VSMShadowMap"]),
     "babylon.js": (["bias", "normalBias"], ["NONE", "POISSONSAMPLING", "PCF", "PCSS"]),
+    "godot_compatibility": (["shadow_bias", "shadow_normal_bias"], ["HARD", "SOFT_LOW", "SOFT_HIGH"]),
+    "playcanvas": (["shadowBias", "normalOffsetBias"], ["PCF1_32F", "PCF3_32F", "PCF5_32F"]),
 }
 
 
@@ -72,9 +75,10 @@ def test_an_engines_filters_and_biases_are_combined(engine):
     assert found.engine == engine
     for technique, run in zip(found.techniques, found.sweep.runs, strict=True):
         config = run.config
-        is_exact = engine.endswith(".js")
+        is_exact = engine in ENGINE_TECHNIQUES
         assert config.technique.type == (engine if is_exact else "shadow_map")
-        names = ("technique.bias", "technique.normal_bias") if is_exact else ("bias.constant", "bias.normal_offset")
+        own = [f"technique.{key}" for key in ENGINE_TECHNIQUES[engine].settings.biases] if is_exact else []
+        names = own or ("bias.constant", "bias.normal_offset")
         fitted = [name for name, used in zip(names, (bias, offset), strict=True) if used in technique.bias.split(" + ")]
         assert [name for name in config.fit.parameters if name in names] == fitted
         # What is not fitted is 0.
@@ -241,3 +245,17 @@ def test_code_of_a_formula_has_the_engines_units(engine):
     assert ("beside the polygon offset" in code) == (engine in POLYGON_OFFSETS)
     hard = engine_code(engine, advice(engine).sweep.runs[0].config, filters[0])["scene.light"]
     assert values_of(hard)[offset] == 0
+
+
+@pytest.mark.exhaustive
+def test_the_page_shows_the_scene_with_the_engines_defaults_and_as_recommended(tmp_path):
+    found = advice("bevy")
+    folder = study.run_advise(found, console=QUIET)
+    with np.load(folder / "my_scene.npz") as stored:
+        images = dict(stored)
+    assert {"the engine's defaults", "recommended", "ray-traced"} <= set(images)
+    assert images["rmse recommended"] < images["rmse the engine's defaults"]
+    page = (folder / "report.html").read_text()
+    assert "Your scene in Bevy" in page
+    assert f"RMSE {float(images['rmse recommended']):.4f}" in page
+    assert (folder / "engine.rs").read_text().startswith("// Bevy 0.19.")

@@ -16,7 +16,7 @@ from diffshadow.geometry import PointLight
 from diffshadow.io import FileError, read_scene
 from diffshadow.settings import engines
 from diffshadow.shadow import EngineLight, ThreeJs
-from diffshadow.shadow.engines._abstract import engine_light
+from diffshadow.shadow.engines._axes import engine_light
 from diffshadow.study import import_scene
 
 FOLDER = Path(__file__).parents[1] / "golden" / "imports"
@@ -471,3 +471,16 @@ def test_a_scene_of_gltf_gets_the_techniques_defaults(tmp_path, light, kind):
     np.testing.assert_allclose(scene.meshes[0].corner_normals, [[[0, -1, 0]] * 3], atol=1e-6)
     towards = np.asarray(scene.lights[0].towards(scene.mesh.vertices))
     assert (towards[:, 1] < 0).all()
+
+
+@pytest.mark.parametrize("technique", ["playcanvas", "bevy", "godot_compatibility"])
+def test_another_engines_technique_has_its_own_defaults_and_what_to_fit(technique, tmp_path):
+    scene = Path(__file__).parents[1] / "golden" / "imports" / "stage.json"
+    console = Console(record=True, width=300)
+    made = import_scene(scene, console=console, technique=technique, output=tmp_path / technique)
+    config = load_config(made, ())
+    assert config.technique.type == technique
+    # The map of the scene is oblong, and theirs are square.
+    assert config.shadow_map.resolution == (128, 128)
+    assert set(config.fit.parameters) == {f"technique.{key}" for key in config.technique.biases}
+    assert f"left out with technique {technique}" in console.export_text()

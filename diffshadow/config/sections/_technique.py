@@ -283,6 +283,11 @@ class EngineConfig(AnyTechniqueConfig, engines.Engine):
             if light.type not in get_args(LightKind):
                 what = fault(f"is {light.type}, which no engine has", "directional, spot or point", "change it")
                 yield ("scene", *key, "type"), what
+            elif light.type not in self.kinds:
+                what = fault(
+                    f"is {light.type}, which {self.type} does not draw here", " or ".join(self.kinds), "change it"
+                )
+                yield ("scene", *key, "type"), what
         if resolution[0] != resolution[1] and (why := self.square_for(config)):
             yield (
                 ("shadow_map", "resolution"),
@@ -296,6 +301,8 @@ class EngineConfig(AnyTechniqueConfig, engines.Engine):
 
     def square_for(self, config: "Config") -> str:
         """Why maps must be square; empty if they need not be."""
+        if self.has_square_maps:
+            return f"technique.type is {self.type}, whose maps are square"
         has_cube = any(light.type == "point" for light in config.scene.each_light.values())
         return "a light is point, whose map is a cube's faces in engines" if has_cube else ""
 
@@ -320,8 +327,26 @@ class BabylonJsConfig(EngineConfig, engines.BabylonJs):
 
     of_meshes = ("back_face_culling",)
 
-    def square_for(self, config: "Config") -> str:
-        return "technique.type is babylon.js, whose maps are square"
+
+class PlayCanvasConfig(EngineConfig, engines.PlayCanvas):
+    """The shadows of PlayCanvas 2.23 (WebGL2, without clustered lighting), by the names, units and defaults of its
+    LightComponent. The map must be square."""
+
+    of_meshes = ("side",)
+
+
+class BevyConfig(EngineConfig, engines.Bevy):
+    """The shadows of Bevy 0.19 under directional and spot lights, by the names, units and defaults of its lights. The
+    map must be square."""
+
+    of_meshes = ("side",)
+
+
+class GodotCompatibilityConfig(EngineConfig, engines.GodotCompatibility):
+    """The shadows of Godot 4.6 in its Compatibility renderer, by the names, units and defaults of its lights. The map
+    must be square."""
+
+    of_meshes = ("side",)
 
 
 TECHNIQUES = Variants(techniques.Technique, "shadow_map", __name__)

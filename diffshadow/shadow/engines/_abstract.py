@@ -1,8 +1,9 @@
 """What the engines' shadows have in common."""
 
 import abc
+import dataclasses
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,17 +12,25 @@ from jaxtyping import Array, Bool, Float
 
 from ..._arithmetic import as_float, concrete, dot, normalize
 from ..._checks import check_instance, check_value
-from ..._types import HostArray, Mask, Resolution, Scalar
-from ...geometry import AbstractLight, DirectionalLight, MatrixLight, PointLight, Scene, SpotLight, View
+from ..._types import Mask, Resolution, Scalar
+from ...geometry import (
+    WORLD,
+    AbstractLight,
+    Origin,
+    PointLight,
+    Scene,
+    View,
+)
 from ...raster import Surface
 from ...settings import maps
-from ...settings.engines import Side
-from .._compare import AbstractCompare
+from ...settings.engines import Engine, Side
+from .._compare import AbstractCompare, HardCompare
 from .._technique import AbstractTechnique
+from ._cameras import EngineCameras
+from ._convert import LightFrame, PlainBias, light_frame
 from ._engine_map import Casters, EngineMap, map_of, per_face
-
-# The sine of the angle to the y axis below which a direction counts as vertical.
-_VERTICAL = 1e-9
+from ._light import EngineLight
+from ._taps import Compared
 
 
 class Place(eqx.Module):
@@ -63,6 +72,7 @@ class AbstractEngineShadows(AbstractTechnique):
 
     - `compare`: how depths are compared; the hard compare is the engine's own.
     - `resolution`: of the map, (height, width) in texels.
+    - `has_layers`: whether cascades are layers of their own rather than parts of one texture.
     - `subpixels`: steps to a texel; the engine's rasterizer places vertices at whole steps. Most graphics hardware
         has 256, Chromium's software rasterizer 16.
     """
@@ -70,14 +80,33 @@ class AbstractEngineShadows(AbstractTechnique):
     compare: eqx.AbstractVar[AbstractCompare]
     resolution: eqx.AbstractVar[Resolution]
     subpixels: eqx.AbstractVar[int]
+    has_layers: ClassVar[bool] = False
+    settings: ClassVar[type[Engine]]  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def _check_rules(self):
         check_value(f"{type(self).__name__}.resolution", self.resolution, maps.ShadowMap.each()["resolution"])
+        if self.settings.has_square_maps and self.resolution[0] != self.resolution[1]:
+            raise ValueError(f"{type(self).__name__}.resolution is {self.resolution}; expected a square map")
         check_instance("the compare", self.compare, AbstractCompare, "a compare, such as HardCompare()")
 
     def lays_out(self, name: str) -> bool:
         """Whether the number at the dotted path `name` changes the map."""
         return False
+
+    def compared(self, receiver: Array, per_texel: Array, is_strict: bool = False) -> Compared:
+        """What the compare of a stored value with the `receiver`'s gives.
+
+        The hard one is the engine's: equal values are lit, or shadowed if it `is_strict`. `per_texel` is the unit of a
+        soft one.
+        """
+        compare = self.compare
+        if isinstance(compare, HardCompare):
+            compare = HardCompare("less" if is_strict else "less_equal")
+        return lambda stored: compare(stored, receiver, per_texel)
+
+    def casters(self, scene: Scene) -> Casters:
+        """What is drawn into the map of a light of `scene`."""
+        return Casters.of(scene.meshes, self.casting_sides(scene))
 
     def drawn(
         self,
@@ -97,9 +126,7 @@ class AbstractEngineShadows(AbstractTechnique):
         - `offset`: for each mesh, the factor of its normal bias.
         - `is_mirrored`, `push`: see `map_of`.
         """
-        chosen = [(mesh, side) for mesh, side in zip(scene.meshes, sides, strict=True) if side is not None]
-        casters = Casters.of(*zip(*chosen, strict=True))
-        depth = map_of(casters, light, self.resolution, self.subpixels, is_mirrored, push)
+        depth = map_of(Casters.of(scene.meshes, sides), light, self.resolution, self.subpixels, is_mirrored, push)
         return self.with_depth(depth, scene, light, offset)
 
     @abc.abstractmethod
@@ -132,7 +159,9 @@ class AbstractEngineShadows(AbstractTechnique):
         `is_depth`.
         """
         found = as_float(stored)
+        layers = light.count if isinstance(light, EngineCameras) and self.has_layers else 1
         expected = (6, *self.resolution) if isinstance(light, PointLight) else self.resolution
+        expected = expected if layers == 1 else (layers, *self.resolution)
         if found.shape != expected:
             raise ValueError(
                 f"the engine's map has shape {found.shape}; expected {expected}, by the light and the technique's "
@@ -147,6 +176,53 @@ class AbstractEngineShadows(AbstractTechnique):
                     f"the engine's map has values from {least:.6g} to {most:.6g}; expected {expected}: read floats"
                 )
         return found
+
+    # --- Its settings in other units ---
+
+    def cameras_of(self, scene: Scene) -> AbstractLight:
+        """The light of `scene` with the cameras that the engine gives it."""
+        return scene.light
+
+    def frame(self, scene: Scene, distance: float) -> LightFrame:
+        """The camera that the engine gives the light of `scene`, at the `distance` along its axis, in world units. Of
+        several cascades, the first one's.
+
+        **Raises** what `light_frame` and `cameras_of` raise.
+        """
+        return light_frame(self.cameras_of(scene), self.resolution, distance)
+
+    def bounds(self, lights: Sequence[tuple[LightFrame, float]]) -> dict[str, tuple[float, float, float]]:
+        """For each number that a fit of the engine's shadows fits: where it starts, its lower and its upper bound.
+
+        **Arguments:**
+
+        - `lights`: for each light, its camera, and the distance of its receivers along the axis, in world units.
+        """
+        raise NotImplementedError
+
+    def as_wide(self, radius: float, frame: LightFrame) -> "AbstractEngineShadows":
+        """With that of the engine's filters which is nearly as wide as a disk with `radius` texels."""
+        settings = self.settings
+        names = settings.point_filters if frame.kind == "point" else settings.filters
+        every = [dataclasses.replace(self, **{settings.filter_key: name}) for name in names]
+        width = lambda each: each.plain(frame, 1.0).radius
+        return min((each for each in every if width(each) is not None), key=lambda each: abs(width(each) - radius))
+
+    @abc.abstractmethod
+    def plain(self, frame: LightFrame, distance: float) -> PlainBias:
+        """What the bias and the filter are without an engine's unit; arguments are as for `frame`."""
+
+    @abc.abstractmethod
+    def biased(self, frame: LightFrame, shift: float, offset: float, distance: float) -> "AbstractEngineShadows":
+        """With the engine's own biases that amount to a `shift` towards the light and an `offset` along normals, both
+        in world units; other arguments are as for `frame`.
+
+        **Raises** `ValueError` if the engine has no such bias.
+        """
+
+    @abc.abstractmethod
+    def code(self, given: EngineLight, distances: tuple[float, float], origin: Origin = WORLD) -> list[str]:
+        """Lines of code in the engine's language that set it; arguments are as for `engine_code`."""
 
     def covered(self, state: EngineMap, surface: Surface) -> Mask:
         """Pixels that the engine's shadow decides, (h, w): they see a receiver within the light's frustum, on a face
@@ -166,47 +242,7 @@ def within(state: EngineMap, surface: Surface) -> Mask:
     if isinstance(state.light, PointLight):
         along = jnp.max(jnp.abs(surface.position - state.light.position), axis=-1)
         return (along >= state.light.near) & (along <= state.light.far)
-    place = Place.of(surface.position, state.light.view(), state.resolution)
-    return place.in_window & (place.z >= 0) & (place.z <= 1)
-
-
-def engine_light(light: AbstractLight, nudge: float) -> AbstractLight:
-    """`light` with the axes that an engine's camera at its place has, whose up direction is +y.
-
-    **Arguments:**
-
-    - `nudge`: what the engine adds to the z of the axis towards the light if the light looks straight up or down.
-
-    **Raises** `ValueError` for an area light.
-    """
-    if isinstance(light, PointLight | MatrixLight):
-        return light
-    if not isinstance(light, DirectionalLight | SpotLight):
-        raise ValueError(
-            f"the light is a {type(light).__name__}; expected a directional, spot, point or matrix light, as in engines"
-        )
-    view, given = light.view(), light.center if isinstance(light, DirectionalLight) else light.position
-    rows, upright = upright_axes(light.direction, nudge), np.eye(4)
-    upright[:3, :3], upright[:3, 3] = rows, -rows @ np.asarray(given, np.float64)
-    return MatrixLight(upright, view.eye_to_clip, view.is_perspective)
-
-
-def upright_axes(direction: Any, nudge: float) -> Float[HostArray, "3 3"]:
-    """To the right, up and back of an engine's camera that looks along `direction` (3,), whose up direction is +y.
-
-    `nudge` is as for `engine_light`.
-    """
-    backward = -np.asarray(direction, np.float64)
-    backward /= np.linalg.norm(backward)
-    if is_vertical(backward):
-        backward[2] += nudge
-    backward /= np.linalg.norm(backward)
-    right = np.cross([0.0, 1.0, 0.0], backward)
-    right /= np.linalg.norm(right)
-    return np.stack([right, np.cross(backward, right), backward])
-
-
-def is_vertical(direction: Any) -> bool:
-    """Whether `direction` (3,) is straight up or down, so that +y is no direction across it."""
-    x, y, z = np.asarray(direction, np.float64)
-    return bool(np.hypot(x, z) < _VERTICAL * abs(y))
+    view = state.light.view().facing(state.light.layer(surface.position))
+    place = Place.of(surface.position, view, state.resolution)
+    inside = place.in_window & (place.z >= 0) & (place.z <= 1)
+    return inside & state.light.is_shadowed(surface.position) if isinstance(state.light, EngineCameras) else inside

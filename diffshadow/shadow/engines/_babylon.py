@@ -12,22 +12,15 @@ from jaxtyping import Array, Float
 from ..._arithmetic import as_float, as_number, concrete, dot, in_unit_range, normalize, safe_norm
 from ..._checks import as_tuple
 from ..._types import AsScalar, Resolution, Scalar, Visibility
-from ...geometry import AbstractLight, Mesh, PointLight, Scene
+from ...geometry import WORLD, AbstractLight, Mesh, Origin, PointLight, Scene
 from ...raster import Surface
 from ...settings import maps
 from ...settings.engines import BabylonFilter, BabylonQuality, Side
 from ...settings.engines import BabylonJs as Settings
 from .._compare import AbstractCompare, HardCompare
-from ._abstract import AbstractEngineShadows, Place, engine_light
-from ._babylon_filters import (
-    Compared,
-    exponentially,
-    falloff,
-    mean_of,
-    random_turn,
-    same,
-    tent,
-)
+from ._abstract import AbstractEngineShadows, Place
+from ._axes import engine_light
+from ._babylon_filters import exponentially, falloff, random_turn
 from ._babylon_maps import (
     box_blurred,
     depth_of_metric,
@@ -36,11 +29,17 @@ from ._babylon_maps import (
     metric_in_cube,
     metric_in_window,
 )
-from ._babylon_taps import POISSON, POISSON_32, POISSON_64, POISSON_CUBE
+from ._babylon_taps import POISSON, POISSON_32, POISSON_64, POISSON_CUBE, POISSON_RADIUS
+from ._code import babylon_js_code
+from ._convert import OFFSET_PROFILES, LightFrame, PlainBias
 from ._engine_map import EngineMap, each_of
 from ._given import BABYLON_NUDGE, babylon_directional_light, babylon_point_light, babylon_spot_light
+from ._light import EngineLight
+from ._taps import Compared, TentSize, castano_radius, mean_of, same, tent
 from ._textures import as_half, bilinear, bilinear_in_cube, nearest, nearest_in_cube, place_in_cube, with_borders
 
+TENTS: dict[BabylonQuality, TentSize] = {"LOW": 1, "MEDIUM": 3, "HIGH": 5}
+"""The size of the filter `PCF`, in texels."""
 # Of contact hardening's penumbra, in texels.
 _MIN_PENUMBRA = 10.0
 
@@ -118,11 +117,6 @@ class BabylonJs(AbstractEngineShadows):
     spot_light = staticmethod(babylon_spot_light)
     point_light = staticmethod(babylon_point_light)
 
-    def _check_rules(self):
-        super()._check_rules()
-        if self.resolution[0] != self.resolution[1]:
-            raise ValueError(f"BabylonJs.resolution is {self.resolution}; expected a square map")
-
     def lays_out(self, name: str) -> bool:
         return name == "normal_bias" or (name == "blur_scale" and self.filter.startswith("BLUR"))
 
@@ -176,6 +170,41 @@ class BabylonJs(AbstractEngineShadows):
         return tuple(
             (shown if is_culled else "double") if does else None for is_culled, does in zip(culling, casts, strict=True)
         )
+
+    def plain(self, frame: LightFrame, distance: float) -> PlainBias:
+        offset = float(self.normal_bias) / frame.texel
+        is_point = frame.kind == "point"
+        bias = float(self.bias)
+        if self.filter in ("PCF", "PCSS") and not is_point:
+            shift, power = bias / 2 / frame.slope(distance), 2
+        else:
+            # Linear in the distance.
+            shift, power = bias * (frame.near + frame.far if is_point else frame.far - frame.near), 0
+        return PlainBias(shift, power, offset, 0, OFFSET_PROFILES["Babylon.js"], self._radius(frame))
+
+    def _radius(self, frame: LightFrame) -> float | None:
+        kind = self.filter
+        if frame.kind == "point" and kind in ("PCF", "PCSS"):
+            kind = "POISSONSAMPLING"
+        match kind:
+            case "NONE":
+                return 0.0
+            case "POISSONSAMPLING":
+                return float(self.blur_scale) * (1.0 if frame.kind == "point" else POISSON_RADIUS)
+            case "PCF":
+                return castano_radius(TENTS[self.quality])
+        return None
+
+    def biased(self, frame: LightFrame, shift: float, offset: float, distance: float) -> "BabylonJs":
+        is_point = frame.kind == "point"
+        if self.filter in ("PCF", "PCSS") and not is_point:
+            bias = 2 * shift * frame.slope(distance)
+        else:
+            bias = shift / (frame.near + frame.far if is_point else frame.far - frame.near)
+        return dataclasses.replace(self, bias=bias, normal_bias=offset)
+
+    def code(self, given: EngineLight, distances: tuple[float, float], origin: Origin = WORLD) -> list[str]:
+        return babylon_js_code(self, given, distances, origin)
 
     def visibility(self, state: EngineMap, surface: Surface) -> Visibility:
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
@@ -233,9 +262,8 @@ def _in_window(settings: BabylonJs, state: EngineMap, position: Float[Array, "h 
     u, v = (jnp.where(inside, at, 0.5) for at in (place.u, place.v))
     at = Receivers(u, v, place.z, metric, place.depth_per_texel, per_texel)
     if settings.filter == "PCF":
-        value = _darkened(
-            settings, tent(_pushed(settings, state.depth), u, v, _strictly(settings, at), settings.quality)
-        )
+        tented = tent(_pushed(settings, state.depth), u, v, _strictly(settings, at), TENTS[settings.quality])
+        value = _darkened(settings, tented)
     elif settings.filter == "PCSS":
         value = _darkened(settings, _contact_hardening(settings, state, at, random_turn(view.clip(position))))
     else:
@@ -248,7 +276,7 @@ def _by_metric(settings: BabylonJs, state: EngineMap, at: Receivers) -> Float[Ar
     """Visibility by the filters that compare metrics."""
     u, v = at.u, at.v
     color = _color(settings, metric_in_window(state.depth, state.light.view()), state.depth < 1)
-    compared = _compared(settings, at.metric, at.metric_per_texel)
+    compared = settings.compared(at.metric, at.metric_per_texel)
     if settings.filter == "NONE":
         return _darkened(settings, compared(nearest(color, u, v)))
     # In widths of the map.
@@ -274,7 +302,7 @@ def _in_cube(settings: BabylonJs, state: EngineMap, position: Float[Array, "h w 
     size = state.depth.shape[-1]
     _, _, _, along = place_in_cube(towards)
     per_texel = 2 * jnp.maximum(along, light.near) / size / (light.near + light.far)
-    compared = _compared(settings, metric, per_texel)
+    compared = settings.compared(metric, per_texel)
     color = _color(settings, metric_in_cube(state.depth, light), state.depth < 1)
     if settings.filter == "NONE":
         return _darkened(settings, compared(nearest_in_cube(color, unit)))
@@ -320,18 +348,9 @@ def _stored(settings: BabylonJs) -> Callable[[Array], Array]:
 # --- Filters ---
 
 
-def _compared(settings: BabylonJs, receiver: Array, per_texel: Array, is_strict: bool = False) -> Compared:
-    """What the compare of a stored value with the receiver's gives. The hard one is the engine's: equal is lit, or
-    shadowed if it `is_strict`."""
-    compare = settings.compare
-    if isinstance(compare, HardCompare):
-        compare = HardCompare("less" if is_strict else "less_equal")
-    return lambda stored: compare(stored, receiver, per_texel)
-
-
 def _strictly(settings: BabylonJs, at: Receivers) -> Compared:
     """The texture unit's compare of window depths."""
-    return _compared(settings, at.z, at.depth_per_texel, is_strict=True)
+    return settings.compared(at.z, at.depth_per_texel, is_strict=True)
 
 
 def _contact_hardening(
@@ -346,7 +365,7 @@ def _contact_hardening(
     u, v = at.u, at.v
     color, depth = _color_of_pushed(settings, state), _pushed(settings, state.depth)
     ratio = settings.contact_hardening_light_size_uv_ratio
-    is_lit, compared = _compared(settings, at.metric, at.metric_per_texel), _strictly(settings, at)
+    is_lit, compared = settings.compared(at.metric, at.metric_per_texel), _strictly(settings, at)
 
     def search(sums: tuple[Array, Array], offset: Array) -> tuple[tuple[Array, Array], None]:
         texel = nearest(color, u + offset[0] * ratio, v + offset[1] * ratio)

@@ -4,6 +4,8 @@ They are the numbers in `Shaders/ShadersInclude/shadowsFragmentFunctions` of `@b
 the Apache License 2.0.
 """
 
+import math
+
 import numpy as np
 
 POISSON = np.array(
@@ -51,3 +53,7 @@ POISSON_64 = np.array(
 )
 """(64, 2), of FILTER_PCSS: the compares of high quality; in the unit disk."""
 # fmt: on
+
+# A disk's mean square distance is half the square of its radius.
+POISSON_RADIUS = math.sqrt(2 * sum(x * x + y * y for x, y in POISSON) / len(POISSON))
+"""Texels of a disk per unit of Babylon.js' blurScale."""

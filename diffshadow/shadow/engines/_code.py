@@ -1,20 +1,24 @@
 """Fitted settings as the code that one pastes into a program that uses the engine."""
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 from ...geometry import WORLD, AbstractLight, Origin
-from ._babylon import BabylonJs
+from ._abstract import AbstractEngineShadows
 from ._light import EngineLight, plain
-from ._three import ThreeJs
+
+if TYPE_CHECKING:
+    from ._babylon import BabylonJs
+    from ._three import ThreeJs
 
 
 def engine_code(
-    settings: ThreeJs | BabylonJs,
+    settings: AbstractEngineShadows,
     light: AbstractLight | EngineLight,
     distances: tuple[float, float],
     origin: Origin = WORLD,
 ) -> str:
-    """JavaScript that sets `settings` for `light`, with comments on where they hold.
+    """Code in the engine's language that sets `settings` for `light`, with comments on where they hold.
 
     **Arguments:**
 
@@ -25,43 +29,39 @@ def engine_code(
     **Raises** what `EngineLight.of` raises.
     """
     given = light if isinstance(light, EngineLight) else EngineLight.of(light, settings.resolution)
-    if isinstance(settings, ThreeJs):
-        lines = _three_js(settings, given, distances, origin)
-    else:
-        lines = _babylon_js(settings, given, distances, origin)
-    return "\n".join([*lines, ""])
+    return "\n".join([*settings.code(given, distances, origin), ""])
 
 
-def _three_js(settings: ThreeJs, given: EngineLight, distances: tuple[float, float], origin: Origin) -> list[str]:
+def three_js_code(settings: "ThreeJs", given: EngineLight, distances: tuple[float, float], origin: Origin) -> list[str]:
     height, width = settings.resolution
     bias, normal_bias = float(settings.bias), float(settings.normal_bias)
     lines = [
         "renderer.shadowMap.enabled = true;",
         f"renderer.shadowMap.type = THREE.{settings.shadow_type};",
-        f"light.position.set({_place(given.position, origin)});",
+        f"light.position.set({place(given.position, origin)});",
     ]
     if given.target is not None:
-        lines += [f"light.target.position.set({_place(given.target, origin)});"]
+        lines += [f"light.target.position.set({place(given.target, origin)});"]
         lines += ["light.target.updateMatrixWorld();"]
     if given.angle is not None and given.aspect is not None:
-        lines += [f"light.angle = {_text(given.angle)};  // radians"]
-        lines += [] if abs(given.aspect - 1) < 1e-6 else [f"light.shadow.aspect = {_text(given.aspect)};"]
+        lines += [f"light.angle = {number(given.angle)};  // radians"]
+        lines += [] if abs(given.aspect - 1) < 1e-6 else [f"light.shadow.aspect = {number(given.aspect)};"]
     camera: Mapping[str, float] = {**(given.window or {}), "near": given.near, "far": given.far}
-    pairs = ", ".join(f"{name}: {_text(value)}" for name, value in camera.items())
+    pairs = ", ".join(f"{name}: {number(value)}" for name, value in camera.items())
     lines += [
         "light.castShadow = true;",
         f"light.shadow.mapSize.set({width}, {height});",
         f"Object.assign(light.shadow.camera, {{ {pairs} }});",
         "light.shadow.camera.updateProjectionMatrix();",
-        f"light.shadow.bias = {_text(bias)};  // {_in_world(given, bias, distances)}",
-        f"light.shadow.normalBias = {_text(normal_bias)};  // world units{_in_texels(given, normal_bias, width)}",
+        f"light.shadow.bias = {number(bias)};  // {in_world(given, bias, distances)}",
+        f"light.shadow.normalBias = {number(normal_bias)};  // world units{in_texels(given, normal_bias, width)}",
     ]
     if settings.shadow_type != "BasicShadowMap":
-        lines += [f"light.shadow.radius = {_text(float(settings.radius))};  // texels of this map size"]
+        lines += [f"light.shadow.radius = {number(float(settings.radius))};  // texels of this map size"]
     if settings.shadow_type == "VSMShadowMap":
         lines += [f"light.shadow.blurSamples = {settings.blur_samples};"]
     if float(settings.intensity) != 1:
-        lines += [f"light.shadow.intensity = {_text(float(settings.intensity))};"]
+        lines += [f"light.shadow.intensity = {number(float(settings.intensity))};"]
     constants = {"front": "THREE.FrontSide", "back": "THREE.BackSide", "double": "THREE.DoubleSide"}
     for name, side in (("side", settings.side), ("shadowSide", settings.shadow_side)):
         if isinstance(side, str):
@@ -77,67 +77,69 @@ def _three_js(settings: ThreeJs, given: EngineLight, distances: tuple[float, flo
     return [*_where_it_holds("three.js r187, WebGLRenderer", is_linear), *lines]
 
 
-def _babylon_js(settings: BabylonJs, given: EngineLight, distances: tuple[float, float], origin: Origin) -> list[str]:
+def babylon_js_code(
+    settings: "BabylonJs", given: EngineLight, distances: tuple[float, float], origin: Origin
+) -> list[str]:
     is_point = given.type == "point"
     # The others' bias is a part of a range that is linear in depth.
     by_depth = settings.filter in ("PCF", "PCSS") and not is_point
     bias, normal_bias = float(settings.bias), float(settings.normal_bias)
     if by_depth:
         # Half of it is window depth. It pushes casters, as a negative bias lifts receivers.
-        amount = _in_world(given, -bias / 2, distances)
+        amount = in_world(given, -bias / 2, distances)
     else:
-        amount = f"{_about(bias * (given.near + given.far if is_point else given.far - given.near))} world units"
-    arguments = str(settings.resolution[0]), "light", _flag(settings.float_maps)
+        amount = f"{about(bias * (given.near + given.far if is_point else given.far - given.near))} world units"
+    arguments = str(settings.resolution[0]), "light", flag(settings.float_maps)
     lines = [
         *_babylon_light(given, origin),
         f"const generator = new BABYLON.ShadowGenerator({', '.join(arguments)});",
-        f"generator.bias = {_text(bias)};  // {amount}",
-        f"generator.normalBias = {_text(normal_bias)};  // world units"
-        f"{_in_texels(given, normal_bias, settings.resolution[1])}",
+        f"generator.bias = {number(bias)};  // {amount}",
+        f"generator.normalBias = {number(normal_bias)};  // world units"
+        f"{in_texels(given, normal_bias, settings.resolution[1])}",
         *(f"generator.{name} = {value};" for name, value in _babylon_filter(settings, is_point).items()),
     ]
     if settings.force_back_faces_only:
         lines += ["generator.forceBackFacesOnly = true;"]
     culling = settings.back_face_culling
     if isinstance(culling, tuple):
-        lines += [f"// material.backFaceCulling of each mesh: {', '.join(map(_flag, culling))}"]
+        lines += [f"// material.backFaceCulling of each mesh: {', '.join(map(flag, culling))}"]
     elif not culling:
         lines += ["material.backFaceCulling = false;"]
     if float(settings.darkness):
-        lines += [f"generator.setDarkness({_text(float(settings.darkness))});"]
+        lines += [f"generator.setDarkness({number(float(settings.darkness))});"]
     is_linear = given.type == "directional" or not by_depth
     return [*_where_it_holds("Babylon.js 9.34, ShadowGenerator on WebGL2", is_linear), *lines]
 
 
 def _babylon_light(given: EngineLight, origin: Origin) -> list[str]:
     """What places the light and its camera."""
-    lines = [f"light.position = new BABYLON.Vector3({_place(given.position, origin)});"]
+    lines = [f"light.position = new BABYLON.Vector3({place(given.position, origin)});"]
     if given.direction is not None:
         lines += [f"light.direction = {_vector(given.direction)};"]
     if given.angle is not None:
-        lines += [f"light.angle = {_text(2 * given.angle)};  // radians, the full cone"]
+        lines += [f"light.angle = {number(2 * given.angle)};  // radians, the full cone"]
     if given.window is not None:
         # The engine's camera is left-handed: its x runs the other way.
         left, right, top, bottom = (given.window[key] for key in ("left", "right", "top", "bottom"))
         window = {"orthoLeft": -right, "orthoRight": -left, "orthoTop": top, "orthoBottom": bottom}
         lines += ["light.autoUpdateExtends = false;", "light.shadowOrthoScale = 0;"]
-        lines += [f"light.{key} = {_text(value)};" for key, value in window.items()]
-    return [*lines, f"light.shadowMinZ = {_text(given.near)};", f"light.shadowMaxZ = {_text(given.far)};"]
+        lines += [f"light.{key} = {number(value)};" for key, value in window.items()]
+    return [*lines, f"light.shadowMinZ = {number(given.near)};", f"light.shadowMaxZ = {number(given.far)};"]
 
 
-def _babylon_filter(settings: BabylonJs, is_point: bool) -> dict[str, str]:
+def _babylon_filter(settings: "BabylonJs", is_point: bool) -> dict[str, str]:
     """The generator's properties that the filter uses, and their values."""
     name, constants = settings.filter, "BABYLON.ShadowGenerator"
     used = {"filter": f"{constants}.FILTER_{name}"}
     if name in ("PCF", "PCSS"):
         used["filteringQuality"] = f"{constants}.QUALITY_{settings.quality}"
     if name == "PCSS":
-        used["contactHardeningLightSizeUVRatio"] = _text(float(settings.contact_hardening_light_size_uv_ratio))
+        used["contactHardeningLightSizeUVRatio"] = number(float(settings.contact_hardening_light_size_uv_ratio))
     # Under a point light the engine draws PCF and PCSS as POISSONSAMPLING.
     if name == "POISSONSAMPLING" or name.startswith("BLUR") or (is_point and name in ("PCF", "PCSS")):
-        used["blurScale"] = _text(float(settings.blur_scale))
+        used["blurScale"] = number(float(settings.blur_scale))
     if name.startswith("BLUR"):
-        used["useKernelBlur"] = _flag(settings.use_kernel_blur)
+        used["useKernelBlur"] = flag(settings.use_kernel_blur)
         key, value = (
             ("blurKernel", settings.blur_kernel)
             if settings.use_kernel_blur
@@ -145,9 +147,9 @@ def _babylon_filter(settings: BabylonJs, is_point: bool) -> dict[str, str]:
         )
         used[key] = str(value)
     if name.endswith("EXPONENTIALSHADOWMAP"):
-        used["depthScale"] = _text(float(settings.depth_scale))
+        used["depthScale"] = number(float(settings.depth_scale))
     if float(settings.frustum_edge_falloff):
-        used["frustumEdgeFalloff"] = _text(float(settings.frustum_edge_falloff))
+        used["frustumEdgeFalloff"] = number(float(settings.frustum_edge_falloff))
     return used
 
 
@@ -163,44 +165,44 @@ def _where_it_holds(engine: str, is_linear: bool) -> list[str]:
     ]
 
 
-def _flag(value: bool) -> str:
+def flag(value: bool) -> str:
     return "true" if value else "false"
 
 
 def _vector(values: Sequence[float]) -> str:
-    return f"new BABYLON.Vector3({', '.join(map(_text, values))})"
+    return f"new BABYLON.Vector3({', '.join(map(number, values))})"
 
 
-def _in_world(light: EngineLight, bias: float, distances: tuple[float, float]) -> str:
+def in_world(light: EngineLight, bias: float, distances: tuple[float, float]) -> str:
     """The shift towards the light that a bias amounts to."""
     depth = light.far - light.near
     if light.type == "directional":
-        return f"{_about(-bias * depth)} world units towards the light"
+        return f"{about(-bias * depth)} world units towards the light"
     # z' = f n / ((f - n) d²)
     shifts = [-bias * depth * d * d / (light.far * light.near) for d in distances]
-    near, far = (_about(distance) for distance in distances)
-    return f"{_about(shifts[0])} world units at the distance {near}, {_about(shifts[1])} at {far}"
+    near, far = (about(distance) for distance in distances)
+    return f"{about(shifts[0])} world units at the distance {near}, {about(shifts[1])} at {far}"
 
 
-def _in_texels(light: EngineLight, length: float, width: int) -> str:
+def in_texels(light: EngineLight, length: float, width: int) -> str:
     if light.window is None or length == 0:
         return ""
-    return f", {_about(length / (light.window['right'] - light.window['left']) * width)} texels"
+    return f", {about(length / (light.window['right'] - light.window['left']) * width)} texels"
 
 
-def _about(value: float) -> str:
+def about(value: float) -> str:
     """What a setting amounts to."""
     return f"{value + 0.0:.5g}"
 
 
-def _place(position: Sequence[float], origin: Origin) -> str:
+def place(position: Sequence[float], origin: Origin) -> str:
     """A point of the world as text; `position` is counted from `origin`, in single precision."""
     if origin == WORLD:
-        return ", ".join(map(_text, position))
-    return ", ".join(f"{float(_text(at)) + start:.15g}" for at, start in zip(position, origin, strict=True))
+        return ", ".join(map(number, position))
+    return ", ".join(f"{float(number(at)) + start:.15g}" for at, start in zip(position, origin, strict=True))
 
 
-def _text(value: float) -> str:
+def number(value: float) -> str:
     """The fewest digits that are the same number in single precision, and never -0."""
     (number,) = plain([value])
     return f"{number:.9g}"

@@ -1,7 +1,8 @@
 """One bias in the units of several engines.
 
-The formulas of three.js r187 and Babylon.js 9.34 are checked against pictures that these engines drew. The formulas of
-Godot 4, Bevy, Filament and Unity are read from their sources and documentation, and not verified against the engines.
+The formulas of three.js r187, Babylon.js 9.34, and Bevy 0.19 under directional and spot lights, are checked against
+pictures that these engines drew. The formulas of Godot 4, Filament and Unity, and of Bevy's point light, are read from
+their sources and documentation, and not verified against the engines.
 """
 
 import math
@@ -11,7 +12,8 @@ from ..._types import Resolution
 from ...geometry import AbstractLight, PointLight
 from ...settings.scene import LightKind
 from ..biases import OffsetProfile
-from ._abstract import engine_light
+from ._axes import engine_light
+from ._cameras import EngineCameras
 from ._light import NO_NUDGE
 
 
@@ -67,6 +69,23 @@ class _Common(NamedTuple):
         return note if self.offset_power in (None, power) or self.m == 0 else f"{note}; {_AT}"
 
 
+class PlainBias(NamedTuple):
+    """A bias without an engine's unit.
+
+    - `shift`: towards the light, in world units; `power`: of the distance with which it grows.
+    - `offset`: along normals, in texels; `offset_power`: of the distance with which its length grows; `profile`: how it
+        grows with the angle to the light.
+    - `radius`: of a disk of taps that is as wide as the filter, in texels; None for a filter without such a width.
+    """
+
+    shift: float
+    power: int
+    offset: float
+    offset_power: int
+    profile: OffsetProfile
+    radius: float | None
+
+
 class LightFrame(NamedTuple):
     """A light's camera, at the distance d along its axis.
 
@@ -79,6 +98,11 @@ class LightFrame(NamedTuple):
     near: float
     far: float
 
+    def slope(self, distance: float) -> float:
+        """Window depth per world unit at the `distance` along the axis."""
+        depth = self.far - self.near
+        return 1 / depth if self.kind == "directional" else self.far * self.near / (depth * distance**2)
+
 
 def light_frame(light: AbstractLight, resolution: Resolution, distance: float) -> LightFrame:
     """The camera of a light of the engines with a map of `resolution`; `distance` is as for `engine_settings`.
@@ -90,7 +114,7 @@ def light_frame(light: AbstractLight, resolution: Resolution, distance: float) -
         raise ValueError(f"the distance is {distance}; expected world units in front of the light")
     if isinstance(light, PointLight):
         return LightFrame("point", 2 * distance / min(resolution), float(light.near), float(light.far))
-    view = light.view()
+    view = light.first if isinstance(light, EngineCameras) else light.view()
     at_unit = math.sqrt(4 / float(view.eye_to_clip[0, 0] * view.eye_to_clip[1, 1]) / math.prod(resolution))
     texel = at_unit * (distance if view.is_perspective else 1)
     kind = "spot" if view.is_perspective else "directional"
@@ -201,13 +225,14 @@ def _spot(c: _Common) -> list[EngineSetting]:
 
 
 def _point(c: _Common) -> list[EngineSetting]:
-    return [_read("Godot 4", "shadow_bias", c.b, c.shift(_WORLD, 0)), *_bevy(c), *_unity(c, 0.0)]
+    return [_read("Godot 4", "shadow_bias", c.b, c.shift(_WORLD, 0)), *_bevy(c, is_verified=False), *_unity(c, 0.0)]
 
 
-def _bevy(c: _Common) -> list[EngineSetting]:
+def _bevy(c: _Common, is_verified: bool = True) -> list[EngineSetting]:
+    of = lambda setting, value, note: EngineSetting("Bevy", setting, value, note, is_verified)
     return [
-        _read("Bevy", "shadow_depth_bias", c.b, c.shift(_WORLD, 0)),
-        _read("Bevy", "shadow_normal_bias", c.m / math.sqrt(2), c.offset("texels of the diagonal", 1)),
+        of("shadow_depth_bias", c.b, c.shift(_WORLD, 0)),
+        of("shadow_normal_bias", c.m / math.sqrt(2), c.offset("texels of the diagonal", 1)),
     ]
 
 

@@ -1,19 +1,24 @@
 """What an engine draws from a light: which faces cast, and the depths that they leave in the map."""
 
+import dataclasses
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from ..._arithmetic import as_array, as_float
+from ..._arithmetic import as_array, as_float, concrete, normalize, safe_divide, safe_norm
 from ..._types import HostArray, Resolution, Scalar
 from ..._words import counted
 from ...geometry import AbstractLight, Mesh, PointLight, Scene, Textures, View, merge, perspective
-from ...raster import Surface, at_steps, rasterize_depth
+from ...raster import SUBPIXELS, Surface, at_steps, barycentrics, interpolate, rasterize, rasterize_depth
 from ...settings.engines import Side
+
+# The least step of depths from 1/2 to 1.
+_STEP = 2.0**-24
 
 
 class EngineMap(eqx.Module):
@@ -27,6 +32,12 @@ class EngineMap(eqx.Module):
     - `receives`: (f,), whether the face receives shadows.
     - `blurred`: (height, width) of the blurred map that the engine makes of this one; None if it makes none, or one of
         the same size.
+    - `slope`: of engines that draw casters with a polygon offset, as `depth`: by how much window depth changes from
+        texel to texel, along the rows or the columns, whichever is more. Otherwise None.
+    - `drawn_with`: how many of these slopes `depth` holds already.
+    - `corners`: of engines whose receivers move at their vertices. Otherwise None.
+    - `unit`: what `depth` is measured in: window depth; the distance to a point light over its far; or reversed depth,
+        from 1 at near to 0 at far, and 0 where the light sees nothing.
     """
 
     depth: Float[Array, "*l h w"]
@@ -34,6 +45,10 @@ class EngineMap(eqx.Module):
     offset: Float[Array, " f"] = eqx.field(converter=as_float)
     receives: Bool[Array, " f"] = eqx.field(converter=as_array)
     blurred: Resolution | None = eqx.field(static=True, default=None)
+    slope: Float[Array, "*l h w"] | None = None
+    drawn_with: Scalar | None = None
+    corners: "Corners | None" = None
+    unit: Literal["window", "distance", "reversed"] = eqx.field(static=True, default="window")
 
     @property
     def resolution(self) -> Resolution:
@@ -46,10 +61,61 @@ class EngineMap(eqx.Module):
         """The projection it was drawn with."""
         return _view_of(self.light)
 
+    @property
+    def distances(self) -> tuple[Float[Array, "*l h w"], Scalar, Scalar]:
+        """Distances along the axis of the light's view in world units: of the depths, and of the least near and the
+        greatest far plane. Of a point light whose map holds distances to it, these."""
+        view = self.view
+        near, far = (jnp.expand_dims(each, (-2, -1)) if jnp.ndim(each) else each for each in (view.near, view.far))
+        if self.unit == "distance":
+            distance = self.depth * far
+        elif self.unit == "reversed" and view.is_perspective:
+            distance = near / jnp.where(self.is_drawn, self.depth, 1)
+        else:
+            depth = 1 - self.depth if self.unit == "reversed" else self.depth
+            distance = dataclasses.replace(view, near=near, far=far).eye_depth(depth)
+        least, most = jnp.min(view.near), jnp.max(view.far)
+        # The far plane may be at infinity.
+        return distance, least, jnp.minimum(most, jnp.max(jnp.where(self.is_drawn, distance, least)))
+
+    @property
+    def is_drawn(self) -> Bool[Array, "*l h w"]:
+        """Which texels see something."""
+        return self.depth > 0 if self.unit == "reversed" else self.depth < 1
+
+    def sloped(self, count: Scalar) -> Float[Array, "*l h w"]:
+        """Depth with `count` slopes, a polygon offset's factor; it is the drawn depth to the bit if it has as many."""
+        if self.slope is None or self.drawn_with is None:
+            return self.depth
+        moved = self.depth + (count - self.drawn_with) * self.slope
+        return jnp.where(self.depth < 1, jnp.clip(moved, 0, 1), 1)
+
     def of_pixels(self, surface: Surface) -> tuple[Float[Array, "h w 1"], Bool[Array, "h w"]]:
         """The factor of the normal bias at each pixel, (h, w, 1), and whether it sees a receiver, (h, w)."""
         face = jnp.maximum(surface.face, 0)
         return self.offset[face][..., None], surface.mask & self.receives[face]
+
+
+class Corners(eqx.Module):
+    """The corners of each face of a scene's mesh: their `positions` and unit `normals`, (f, 3, 3)."""
+
+    positions: Float[Array, "f 3 3"]
+    normals: Float[Array, "f 3 3"]
+
+    @classmethod
+    def of(cls, mesh: Mesh) -> "Corners":
+        return cls(as_float(mesh.vertices)[mesh.faces], normalize(as_float(mesh.corner_normals)))
+
+    def interpolated(self, values: Float[Array, "f 3 c"], surface: Surface) -> Float[Array, "h w c"]:
+        """`values` of the corners at what each pixel sees."""
+        face = jnp.maximum(surface.face, 0)
+        a, b, c = (self.positions[face, k] - surface.position for k in range(3))
+        # Of the areas opposite to the corners, with the sign that they have in the face's plane.
+        areas = jnp.stack([jnp.cross(b, c), jnp.cross(c, a), jnp.cross(a, b)], axis=-2)
+        normal = jnp.sum(areas, axis=-2)
+        weights = jnp.sum(areas * normal[..., None, :], axis=-1)
+        weights = safe_divide(weights, jnp.sum(weights, axis=-1, keepdims=True), 1 / 3)
+        return jnp.sum(weights[..., None] * values[face], axis=-2)
 
 
 class Casters(NamedTuple):
@@ -61,8 +127,10 @@ class Casters(NamedTuple):
     alpha_test: Textures | None = None
 
     @classmethod
-    def of(cls, meshes: Sequence[Mesh], sides: Sequence[Side]) -> "Casters":
-        """Those faces of each of `meshes` that its entry of `sides` names."""
+    def of(cls, every: Sequence[Mesh], casting: Sequence[Side | None]) -> "Casters":
+        """Those faces of each mesh that its entry of `casting` names; none of a mesh that does not cast."""
+        chosen = [(mesh, side) for mesh, side in zip(every, casting, strict=True) if side is not None]
+        meshes, sides = zip(*chosen, strict=True)
         whole = merge(meshes).padded()
         mesh = merge(meshes)
         faces = np.asarray(mesh.faces)
@@ -133,6 +201,153 @@ def map_of(
     return _without_push(depth, push)
 
 
+class SlopedMap(NamedTuple):
+    """What a light sees through a polygon offset: the depth with it, and the slopes; both as `EngineMap` has them."""
+
+    depth: Float[Array, "*l h w"]
+    slope: Float[Array, "*l h w"]
+
+
+def sloped_map_of(
+    casters: Casters,
+    clip: Float[Array, "*l v 4"],
+    resolution: Resolution,
+    subpixels: int,
+    factor: Scalar,
+    units: Scalar,
+) -> SlopedMap:
+    """The depth of `casters` whose vertices have `clip` coordinates, drawn with a polygon offset of so many slopes
+    (`factor`) and least steps of depth (`units`). Other arguments are as for `map_of`."""
+    clip = at_steps(clip, resolution, subpixels)
+    offset = (concrete(factor), concrete(units))
+    drawn = rasterize(
+        clip, casters.faces, resolution, cull="back", polygon_offset=offset, alpha_test=casters.alpha_test
+    )
+    return SlopedMap(*_on_planes(clip, casters.faces, drawn.face, drawn.depth, resolution, factor, units))
+
+
+@eqx.filter_jit
+def _on_planes(
+    clip: Float[Array, "*l v 4"],
+    faces: Int[Array, "f 3"],
+    seen: Int[Array, "*l h w"],
+    drawn: Float[Array, "*l h w"],
+    resolution: Resolution,
+    factor: Scalar,
+    units: Scalar,
+) -> tuple[Float[Array, "*l h w"], Float[Array, "*l h w"]]:
+    """The depth of the face that each texel sees, and its slope: by how much it changes along a row or a column,
+    whichever is more.
+
+    In the order of operations of Chromium's software rasterizer. Its last bits decide where a light's near plane is so
+    close that depths are nearly 1. Faces that reach behind the light keep the `drawn` depth.
+    """
+    height, width = resolution
+
+    def one(view: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+        clip, seen, drawn = view
+        w = clip[:, 3]
+        per = 1 / jnp.where(w > 0, w, 1)
+        x, y = ((rounded(clip[:, k] * per) + 1) * (size / 2) for k, size in ((0, width), (1, height)))
+        z = rounded(rounded(clip[:, 2] * per) * 0.5) + 0.5
+        corners = faces[jnp.maximum(seen, 0)]
+        (x0, x1, x2), (y0, y1, y2), (z0, z1, z2) = ([each[corners[..., k]] for k in range(3)] for each in (x, y, z))
+        x1, x2, y1, y2, z1, z2 = x1 - x0, x2 - x0, y1 - y0, y2 - y0, z1 - z0, z2 - z0
+        inverse = safe_divide(jnp.ones_like(x1), rounded(x1 * y2) - rounded(x2 * y1))
+        a = inverse * (rounded(y2 * z1) - rounded(y1 * z2))
+        b = inverse * (rounded(x1 * z2) - rounded(x2 * z1))
+        is_ahead = (w[corners] > 0).all(axis=-1)
+        slope = jnp.where(is_ahead, jnp.maximum(jnp.abs(a), jnp.abs(b)), _steepness(clip[corners], resolution))
+        up = jnp.arange(height, dtype=x.dtype)[:, None] + 0.5 - y0
+        across = jnp.arange(width, dtype=x.dtype) + 0.5 - x0
+        offset = rounded(slope * factor) + units * _STEP
+        depth = ((z0 + rounded(up * b)) + rounded(across * a)) + offset
+        depth = jnp.where(is_ahead, jnp.clip(depth, 0, 1), drawn)
+        return jnp.where(seen >= 0, depth, 1), jnp.where(seen >= 0, slope, 0)
+
+    views = (clip, seen, drawn)
+    return lax.map(one, views) if seen.ndim > 2 else one(views)
+
+
+def reversed_map_of(
+    casters: Casters, clip: Float[Array, "*l v 4"], resolution: Resolution, subpixels: int, is_flattened: bool
+) -> Float[Array, "*l h w"]:
+    """The reversed depth that a light sees: from 1 at near to 0 at far, and 0 where it sees nothing.
+
+    **Arguments:**
+
+    - `clip`: of the vertices, with depth over w reversed.
+    - `is_flattened`: whether what lies before the near plane has depth 1, under a directional light; otherwise it is
+        cut away.
+    """
+    clip = clip if subpixels == SUBPIXELS else at_steps(clip, resolution, subpixels)
+    forward = _forward(clip, jnp.asarray(is_flattened))
+    seen = rasterize(forward, casters.faces, resolution, cull="back", alpha_test=casters.alpha_test).face
+    return _reversed_on_faces(clip, casters.faces, seen)
+
+
+@eqx.filter_jit
+def _forward(clip: Float[Array, "*l v 4"], is_flattened: Bool[Array, ""]) -> Float[Array, "*l v 4"]:
+    """Clip coordinates as OpenGL has them, of those with reversed depth; in a parallel view, with room for all that
+    `is_flattened`."""
+    z, w = clip[..., 2], clip[..., 3]
+    nearest = jnp.where(is_flattened, jnp.maximum(jnp.max(z, axis=-1, keepdims=True), 1), 1)
+    return clip.at[..., 2].set(jnp.where(is_flattened, 1 - 2 * z / nearest, w - 2 * z))
+
+
+@eqx.filter_jit
+def _reversed_on_faces(
+    clip: Float[Array, "*l v 4"], faces: Int[Array, "f 3"], seen: Int[Array, "*l h w"]
+) -> Float[Array, "*l h w"]:
+    """The reversed depth of the face that each texel sees."""
+
+    def one(view: tuple[Array, Array]) -> Array:
+        clip, seen = view
+        at = barycentrics(seen, clip, faces)
+        z, w = jnp.moveaxis(interpolate(at, clip[:, 2:], faces), -1, 0)
+        return jnp.where(at.mask, jnp.clip(safe_divide(z, w), 0, 1), 0)
+
+    return lax.map(one, (clip, seen)) if seen.ndim > 2 else one((clip, seen))
+
+
+def _steepness(corners: Float[Array, "h w 3 4"], resolution: Resolution) -> Float[Array, "h w"]:
+    """The slope of triangles in clip space, which may reach behind the eye: z = a x + b y + c w at all corners."""
+    height, width = resolution
+    one, two, three = (corners[..., k, :][..., jnp.array([0, 1, 3])] for k in range(3))
+    across = jnp.cross(two, three), jnp.cross(three, one), jnp.cross(one, two)
+    determinant = jnp.sum(one * across[0], axis=-1)
+    plane = corners[..., 0, 2:3] * across[0] + corners[..., 1, 2:3] * across[1] + corners[..., 2, 2:3] * across[2]
+    a, b = (jnp.abs(safe_divide(plane[..., k], determinant)) for k in (0, 1))
+    return jnp.maximum(a / width, b / height)
+
+
+def distance_map_of(
+    casters: Casters, light: PointLight, resolution: Resolution, subpixels: int
+) -> Float[Array, "6 n n"]:
+    """The distance from a point light over its far that each texel sees, at most 1, and 1 where it sees nothing; as a
+    shader writes it per texel. Arguments are as for `map_of`."""
+    clip = _snapped(cube_view(light), casters.vertices, resolution, subpixels, False, as_float(0.0))
+    seen = rasterize(clip, casters.faces, resolution, cull="back", alpha_test=casters.alpha_test).face
+    return _distances_of(clip, seen, casters.vertices, casters.faces, light)
+
+
+@eqx.filter_jit
+def _distances_of(
+    clip: Float[Array, "6 v 4"],
+    seen: Int[Array, "6 n n"],
+    vertices: Float[Array, "v 3"],
+    faces: Int[Array, "f 3"],
+    light: PointLight,
+) -> Float[Array, "6 n n"]:
+    def one(view: tuple[Array, Array]) -> Array:
+        clip, seen = view
+        at = barycentrics(seen, clip, faces)
+        distance = safe_norm(interpolate(at, vertices, faces) - light.position)
+        return jnp.where(at.mask, distance / light.far, 1)
+
+    return lax.map(one, (clip, seen))
+
+
 @eqx.filter_jit
 def _without_push(depth: Float[Array, "*l h w"], push: Scalar) -> Float[Array, "*l h w"]:
     return jnp.where(depth < 1, depth - push / 2, 1)
@@ -150,6 +365,11 @@ def _snapped(
 
 def _view_of(light: AbstractLight) -> View:
     return cube_view(light) if isinstance(light, PointLight) else light.view()
+
+
+def rounded(product: Array) -> Array:
+    """`product`, which is rounded before anything is added to it: compilers fuse no maximum into a multiply-add."""
+    return jnp.maximum(product, -jnp.finfo(product.dtype).max)
 
 
 # For each face of a cube map, the directions of s, t and the view (OpenGL 4.6, table 8.19).

@@ -8,9 +8,10 @@ import numpy as np
 from ..._types import HostArray, Resolution, Vec3
 from ...geometry import DirectionalLight, PointLight, SpotLight
 from ...settings import scene
+from ...settings.engines import Bevy
 from ...settings.maps import ShadowMap
 from ...settings.scene import ShadowCamera
-from ._abstract import is_vertical, upright_axes
+from ._axes import is_vertical, upright_axes
 
 Point = Sequence[float] | HostArray | Vec3
 """x, y and z, world units."""
@@ -193,3 +194,123 @@ def _parallel(
     center = np.asarray(position, np.float64) + (left + right) / 2 * axes[0] + (top + bottom) / 2 * axes[1]
     up = axes[1] if is_given and is_vertical(direction) else (0.0, 1.0, 0.0)
     return DirectionalLight(direction, center, (right - left, top - bottom), *ends, angular_radius, up)
+
+
+# --- PlayCanvas, Bevy and Godot ---
+
+
+def fitted_directional_light(
+    direction: Point, *, angular_radius: float = scene.DirectionalLight.angular_radius
+) -> DirectionalLight:
+    """A directional light of an engine that fits its cameras to what the view camera sees.
+
+    **Arguments:**
+
+    - `direction`: in which the light shines, (3,).
+    - `angular_radius`: of the light's disk, in degrees, for references; the engine has none.
+
+    **Raises** what `DirectionalLight` raises.
+    """
+    # Any frustum: a light that stands before it keeps the direction's digits in code.
+    return DirectionalLight(direction, (0.0, 0.0, 0.0), (1.0, 1.0), 1.0, 2.0, angular_radius)
+
+
+def playcanvas_spot_light(
+    position: Point,
+    direction: Point,
+    *,
+    range: float = 10.0,
+    outer_cone_angle: float = 45.0,
+    inner_cone_angle: float = 40.0,
+    radius: float = scene.SpotLight.radius,
+) -> SpotLight:
+    """PlayCanvas' spot light; defaults are the engine's.
+
+    **Arguments:**
+
+    - `position`, `direction`: of the light's entity, and in which it shines, (3,), world units.
+    - `range`: `light.range`, world units; near is a thousandth of it.
+    - `outer_cone_angle`, `inner_cone_angle`: from the axis, degrees.
+    - `radius`: of the light's disk, in world units, for references; the engine has none.
+
+    **Raises** what `SpotLight` raises.
+    """
+    return SpotLight(position, direction, outer_cone_angle, range / 1000, range, radius, inner_cone_angle)
+
+
+def playcanvas_omni_light(
+    position: Point, *, range: float = 10.0, radius: float = scene.PointLight.radius
+) -> PointLight:
+    """PlayCanvas' omni light; the default is the engine's.
+
+    **Arguments:**
+
+    - `position`: of the light's entity, (3,), world units.
+    - `range`: `light.range`, world units; near is a thousandth of it.
+    - `radius`: of the light's sphere, in world units, for references; the engine has none.
+
+    **Raises** what `PointLight` raises.
+    """
+    return PointLight(position, range / 1000, range, radius)
+
+
+def bevy_spot_light(
+    position: Point,
+    direction: Point,
+    *,
+    range: float = 20.0,
+    outer_angle: float = math.pi / 4,
+    inner_angle: float = 0.0,
+    shadow_map_near_z: float = Bevy.shadow_map_near_z,
+    radius: float = scene.SpotLight.radius,
+) -> SpotLight:
+    """Bevy's spot light; defaults are the engine's.
+
+    **Arguments:**
+
+    - `position`, `direction`: of its transform, and in which it shines, (3,), world units.
+    - `range`, `shadow_map_near_z`: world units; the map's far plane is at infinity.
+    - `outer_angle`, `inner_angle`: from the axis, radians.
+    - `radius`: of the light's disk, in world units, for references; without soft shadows the engine has none.
+
+    **Raises** what `SpotLight` raises.
+    """
+    outer, inner = math.degrees(outer_angle), math.degrees(inner_angle)
+    return SpotLight(position, direction, outer, shadow_map_near_z, range, radius, inner)
+
+
+def godot_spot_light(
+    position: Point,
+    direction: Point,
+    *,
+    spot_range: float = 5.0,
+    spot_angle: float = 45.0,
+    radius: float = scene.SpotLight.radius,
+) -> SpotLight:
+    """Godot's spot light; defaults are the engine's.
+
+    **Arguments:**
+
+    - `position`, `direction`: of its node, and in which it shines, (3,), world units.
+    - `spot_range`: world units. `spot_angle`: from the axis, degrees.
+    - `radius`: of the light's disk, in world units, for references; the Compatibility renderer has none.
+
+    **Raises** what `SpotLight` raises.
+    """
+    return SpotLight(position, direction, spot_angle, min(0.025, spot_range / 2), spot_range, radius)
+
+
+def godot_omni_light(
+    position: Point, *, omni_range: float = 5.0, radius: float = scene.PointLight.radius
+) -> PointLight:
+    """Godot's omni light; the default is the engine's.
+
+    **Arguments:**
+
+    - `position`: of its node, (3,), world units.
+    - `omni_range`: world units.
+    - `radius`: of the light's sphere, in world units, for references; the Compatibility renderer has none.
+
+    **Raises** what `PointLight` raises.
+    """
+    return PointLight(position, omni_range / 1000, omni_range, radius)

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..._types import HostArray, Resolution
 from ...geometry import AbstractLight, DirectionalLight, MatrixLight, PointLight, SpotLight
-from ._abstract import engine_light
+from ._axes import engine_light
 
 # Where the near plane of a directional light's camera is put if it would begin behind the light.
 _NEAR = 1.0

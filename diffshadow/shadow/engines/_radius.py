@@ -4,18 +4,13 @@ The taps of three.js r187 and Babylon.js 9.34 are checked against pictures that 
 Godot 4, Bevy, Filament and Unity are read from their sources and documentation, and not verified against the engines.
 """
 
-import math
 from typing import NamedTuple
 
 from ...geometry import AbstractLight, PointLight
-from ._abstract import engine_light
-from ._babylon_taps import POISSON
+from ._axes import engine_light
+from ._babylon_taps import POISSON_RADIUS
 from ._convert import EngineSetting
 from ._light import NO_NUDGE
-
-# A disk's mean square distance is half the square of its radius.
-POISSON_RADIUS = math.sqrt(2 * sum(x * x + y * y for x, y in POISSON) / len(POISSON))
-"""Texels of a disk per unit of Babylon.js' blurScale."""
 
 
 class GodotQuality(NamedTuple):

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int
 
 from ..._arithmetic import with_gradient_of
 from ..._types import HostArray
-from ._engine_map import CUBE
+from ._engine_map import CUBE, rounded
 
 Of = Callable[[Float[Array, "*n"]], Float[Array, "*n"]]
 """What is averaged over texels, of each texel's value."""
@@ -57,11 +57,6 @@ def _of_four(
 def mix(low: Array, high: Array, share: Array) -> Array:
     """Between two values, as the software rasterizer computes it: of equal ones, it is that value to the bit."""
     return low + rounded(share * (high - low))
-
-
-def rounded(product: Array) -> Array:
-    """`product`, which is rounded before anything is added to it: compilers fuse no maximum into a multiply-add."""
-    return jnp.maximum(product, -jnp.finfo(product.dtype).max)
 
 
 def place_in_cube(

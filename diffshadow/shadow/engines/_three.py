@@ -1,5 +1,7 @@
 """The shadows of three.js (r187, `WebGLRenderer`)."""
 
+import dataclasses
+import math
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -11,20 +13,26 @@ from jaxtyping import Array, Float
 from ..._arithmetic import as_number, in_unit_range, safe_norm
 from ..._checks import as_tuple
 from ..._types import AsScalar, Resolution, Visibility
-from ...geometry import PointLight, Scene
+from ...geometry import WORLD, Origin, PointLight, Scene
 from ...raster import Surface
 from ...settings import maps
 from ...settings.engines import OTHER_SIDE, ShadowSides, ShadowType, Side, Sides
 from ...settings.engines import ThreeJs as Settings
 from .._compare import AbstractCompare, HardCompare
 from ..patterns import interleaved_gradient_noise
-from ._abstract import AbstractEngineShadows, Place, engine_light
+from ._abstract import AbstractEngineShadows, Place
+from ._axes import engine_light
+from ._code import three_js_code
+from ._convert import OFFSET_PROFILES, LightFrame, PlainBias
 from ._engine_map import EngineMap, each_of
 from ._given import THREE_NUDGE, three_directional_light, three_point_light, three_spot_light
+from ._light import EngineLight
 from ._textures import bilinear, bilinear_in_cube, nearest, nearest_in_cube, place_in_cube, with_borders
 from ._variance import at_receivers, blurred, chebyshev
 
 _TAPS = 5
+# The radius of a disk with the same standard deviation as a box from -1 to 1.
+_BOX = 2 / math.sqrt(3)
 _GOLDEN_ANGLE = 2.399963229728653
 
 
@@ -117,6 +125,33 @@ class ThreeJs(AbstractEngineShadows):
         depth = self.checked_map(stored, light, is_depth=True)
         offset = _offsets(each_of(self.side, scene.meshes, "side"))
         return self.with_depth(1 - depth if self.reversed_depth else depth, scene, light, offset)
+
+    def plain(self, frame: LightFrame, distance: float) -> PlainBias:
+        offset = float(self.normal_bias) / frame.texel
+        shift = -float(self.bias) / frame.slope(distance)
+        return PlainBias(shift, 2, offset, 0, OFFSET_PROFILES["three.js"], self._radius(frame))
+
+    def _radius(self, frame: LightFrame) -> float:
+        radius = float(self.radius)
+        match self.shadow_type:
+            case "BasicShadowMap":
+                return 0.0
+            case "VSMShadowMap":
+                return radius * _BOX
+        # Under a point light, a unit is half a texel at the centre of a face.
+        return radius / 2 if frame.kind == "point" else radius
+
+    def as_wide(self, radius: float, frame: LightFrame) -> "ThreeJs":
+        if radius == 0:
+            return dataclasses.replace(self, shadow_type="BasicShadowMap")
+        return dataclasses.replace(self, radius=2 * radius if frame.kind == "point" else radius)
+
+    def biased(self, frame: LightFrame, shift: float, offset: float, distance: float) -> "ThreeJs":
+        values = {"bias": 0.0 - shift * frame.slope(distance), "normal_bias": offset}
+        return dataclasses.replace(self, **values)
+
+    def code(self, given: EngineLight, distances: tuple[float, float], origin: Origin = WORLD) -> list[str]:
+        return three_js_code(self, given, distances, origin)
 
     def visibility(self, state: EngineMap, surface: Surface) -> Visibility:
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.

@@ -30,6 +30,7 @@ from ._candidates import front, ranked, recommended
 from ._engines import code_file, engine_code, title_of
 from ._large import large_biases
 from ._measure import least_bias_for, measure_times, single_bias, steps_of, unexplained_by
+from ._my_scene import store_pictures
 from ._report import report_advice
 from ._special_cases import as_special_case
 from ._times import busy_remark
@@ -91,6 +92,8 @@ def run_advise(advice: Advice, *, console: Console, scheduler: str | None = None
         found = Findings(candidates, chosen, within, over, noise, least_biases, large)
         problems = [*unexplained_by(best), *problems]
         code = _code(folder, advice, chosen, best)
+        if advice.engine is not None:
+            store_pictures(folder, best)
         named = best.model_copy(update={"name": sweep.name}).named_with("-recommended")
         with io.atomic_path(folder / RECOMMENDED) as temporary:
             temporary.write_bytes(yaml_of(named))

@@ -14,9 +14,9 @@ from ...settings.engines import ENGINES, POLYGON_OFFSETS, EngineName
 from ...settings.quantities import FARTHEST, MAX_TEXELS
 from ...settings.rules import Worth
 from ...settings.scene import LightKind
-from ...shadow import engine_settings, light_frame
+from ...shadow import ENGINE_TECHNIQUES, engine_settings, light_frame
 from ..pages import _table as table
-from ._formula_engines import FORMULA_ENGINES, beside, lines_of
+from ..runs._formula_engines import FORMULA_ENGINES, beside, lines_of
 
 _KERNELS: Mapping[str, type[filters.Filter]] = {each.type: each for each in rules.RULED}
 # The filter of each engine that its rule was measured with, as in `FORMULA_ENGINES`.
@@ -35,6 +35,37 @@ _BESIDES: Mapping[EngineName, str] = {
     **{name: f"beside {beside(name)}" for name in POLYGON_OFFSETS},
 }
 
+
+_EXAMPLES: Mapping[LightKind, str] = {
+    "directional": "diffshadow defaults --engine godot --map 2048 --window 40 --depth 100",
+    "spot": "diffshadow defaults --engine unity --light spot --map 1024 --angle 30 --near 0.5 --depth 20 --distance 6",
+    "point": "diffshadow defaults --engine unity --light point --map 512 --near 0.5 --depth 20 --distance 6",
+}
+
+
+class _Usual(NamedTuple):
+    """What an engine has where nobody sets anything: a map's side in texels, how wide and deep it is in world units,
+    and why."""
+
+    size: int
+    window: float
+    depth: float
+    why: str
+
+
+# The width and depth of the sphere about what a camera sees that is 16 : 9 and 50 degrees high, per unit of depth.
+_VIEW = 1.07
+_FIRST = "the first cascade, which follows the view camera: here 16 : 9 and 50 degrees high"
+_USUAL: Mapping[EngineName, _Usual] = {
+    "three.js": _Usual(512, 10.0, 499.5, "a shadow camera of ±5, from 0.5 to 500"),
+    "babylon.js": _Usual(1024, 20.0, 20.0, "its camera follows the casters: here 20 units across"),
+    "godot": _Usual(2048, 2 * _VIEW * 10, 2 * _VIEW * 10 + 20, f"a quarter of 4096; {_FIRST}, up to a tenth of 100"),
+    "bevy": _Usual(2048, 2 * _VIEW * 10, 2 * _VIEW * 10, f"{_FIRST}, up to 10"),
+    "filament": _Usual(1024, 2 * _VIEW * 50, 2 * _VIEW * 50, "one cascade for a view that is 50 units deep"),
+    "unity": _Usual(1024, 2 * _VIEW * 6, 2 * _VIEW * 6, f"a quarter of 2048; {_FIRST}, up to an eighth of 50"),
+    "playcanvas": _Usual(1024, 2 * _VIEW * 40, 2 * _VIEW * 40, "one map for what the view camera sees up to 40"),
+    "godot_compatibility": _Usual(2048, 2 * _VIEW * 10, 2 * _VIEW * 10 + 20, f"a quarter of 4096; {_FIRST}, up to 10"),
+}
 
 # The options that the map of each kind of light needs, and the most that each may be.
 _NEEDED: Mapping[LightKind, Sequence[str]] = {
@@ -67,15 +98,27 @@ class LightOptions(NamedTuple):
         """All options but the kind of light."""
         return {name: value for name, value in self._asdict().items() if name != "light"}
 
+    def completed(self, engine: EngineName) -> "LightOptions":
+        """With what the engine has for a directional light where options are left out."""
+        if self.light != "directional":
+            return self
+        usual = _USUAL[engine]
+        or_usual = lambda value, usual: usual if value is None else value
+        return self._replace(
+            map=or_usual(self.map, usual.size),
+            window=or_usual(self.window, usual.window),
+            depth=or_usual(self.depth, usual.depth),
+        )
+
     def check(self, engine: EngineName) -> None:
         """**Raises** `ValueError` for options that are missing, of another light, or out of their range."""
-        needed, given = _NEEDED[self.light], self.given
+        needed, given, example = _NEEDED[self.light], self.given, _EXAMPLES[self.light]
         missing = [f"--{name}" for name in needed if given[name] is None]
         if missing:
             every = [f"--{name}" for name in needed]
             raise ValueError(
                 f"--engine {engine} is given without {' and '.join(missing)}; expected all of "
-                f"{', '.join(every[:-1])} and {every[-1]} for a {self.light} light: an engine's units depend on them"
+                f"{', '.join(every[:-1])} and {every[-1]} for a {self.light} light, as in {example}"
             )
         for name, value in given.items():
             if value is None:
@@ -84,7 +127,9 @@ class LightOptions(NamedTuple):
                 raise ValueError(f"--{name} is given for a {self.light} light, which has none; leave it out")
             most = _MOST.get(name, FARTHEST)
             if not 0 < value <= most:
-                raise ValueError(f"--{name} is {value:g}; expected more than 0 and at most {most:g}; change it")
+                raise ValueError(
+                    f"--{name} is {value:g}; expected more than 0 and at most {most:g}; change it, as in {example}"
+                )
 
     def made(self) -> tuple[AbstractLight, float]:
         """The light, and the distance at which settings hold, in world units."""
@@ -113,7 +158,7 @@ def print_defaults(
 
     - `filter`, `radius`: a filter's type and its radius in texels. Its bias is printed as a part of a configuration.
     - `engine`: whose settings are printed instead, for its default filter.
-    - `of_map`: the engine's light and map.
+    - `of_map`: the engine's light and map; for a directional light by default the engine's own.
 
     **Raises** `ValueError` for a filter without a rule, and for options that do not go together.
     """
@@ -128,8 +173,35 @@ def print_defaults(
         return
     if filter is not None or radius is not None:
         raise ValueError(f"--engine {engine} is given with a filter; expected one of them: its default filter is used")
-    of_map.check(engine)
-    _print_engine(engine, of_map, console)
+    whole = of_map.completed(engine)
+    whole.check(engine)
+    missing = [f"--{name}" for name, value in whole.given.items() if value != of_map.given[name]]
+    if missing:
+        said = f"{', '.join(missing)}: {ENGINES[engine]}'s own; {_USUAL[engine].why}"
+        sizes = f"a map of {whole.map}², {whole.window:.4g} wide and {whole.depth:.4g} deep"
+        table.print_lines(console, [f"for {sizes} ({said})"])
+    if engine in rules.ENGINE_RULES:
+        _print_engine(engine, whole, console)
+    else:
+        _print_shipped(engine, whole, console)
+
+
+def _print_shipped(engine: EngineName, of_map: LightOptions, console: Console) -> None:
+    """What an engine without a rule has where nobody sets anything."""
+    light, distance = of_map.made()
+    texel = light_frame(light, (of_map.map or 0, of_map.map or 0), distance).texel
+    settings = ENGINE_TECHNIQUES[engine].settings
+    given = [
+        f"{name} = {getattr(settings, key):g}" for key, name in zip(settings.biases, settings.bias_names, strict=True)
+    ]
+    table.print_lines(
+        console,
+        [
+            f"{ENGINES[engine]} ships {', '.join(given)}; a texel is {texel:.4g} world units wide",
+            "no rule has been measured for it",
+            f"for a scene of yours: diffshadow advise CONFIG --engine {engine}",
+        ],
+    )
 
 
 def _refuse(needed: str, of: str, given: Mapping[str, float | None]) -> None:
@@ -164,7 +236,7 @@ def _print_all(console: Console) -> None:
             "in; acne, leaks: the share of scenes where more than a thousandth of the light is wrongly missing, or "
             "there",
             "for a filter: diffshadow defaults --filter random_disk --radius 3",
-            "for an engine: diffshadow defaults --engine godot --map 2048 --window 40 --depth 100",
+            f"for an engine: {_EXAMPLES['directional']}",
         ],
     )
 
@@ -227,7 +299,11 @@ def _print_engine(engine: EngineName, of_map: LightOptions, console: Console) ->
             _sentence(rule.worth),
             f"what {ENGINES[engine]} ships: {_sentence(rule.shipped)}",
             *([] if light.is_directional else [_THERE_ONLY]),
-            *([] if known is None else [f"read from {ENGINES[engine]}'s sources, and not verified against the engine"]),
+            *(
+                []
+                if known is None or engine in ENGINE_TECHNIQUES
+                else [f"read from {ENGINES[engine]}'s sources, and not verified against the engine"]
+            ),
             f"for a scene of yours: diffshadow advise CONFIG --engine {engine}",
         ],
     )

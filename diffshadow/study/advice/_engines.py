@@ -20,19 +20,15 @@ from ...config import (
 )
 from ...settings.engines import ENGINES, Engine, EngineName
 from ...settings.techniques import SingleMap
-from ..runs._engine import EngineFit, Lit, babylon_js, code_of, lit_by, three_js
+from ...shadow import ENGINE_TECHNIQUES
+from ..runs._engine import EngineFit, Lit, code_of, engine_fit, lit_by
+from ..runs._engine import code_file as suffixed
+from ..runs._formula_engines import FORMULA_ENGINES, code_of_formula, offered
 from ..runs._progress import Progress
 from ..runs._setup import draw, load
-from ._formula_engines import FORMULA_ENGINES, code_of_formula, offered
 
 _LISTS = ("biases", "filters")
 _PARAMETERS = "parameters"
-_THREE_FILTERS = ("BasicShadowMap", "PCFShadowMap", "VSMShadowMap")
-_BABYLON_FILTERS = ("NONE", "POISSONSAMPLING", "PCF", "PCSS")
-# Under a point light the engine draws the others as POISSONSAMPLING.
-_BABYLON_POINT_FILTERS = ("NONE", "POISSONSAMPLING")
-_EXACT = {"three.js": ("bias", "normalBias"), "babylon.js": ("bias", "normalBias")}
-_KEYS = ("bias", "normal_bias")
 
 
 def engine_advice(
@@ -45,7 +41,7 @@ def engine_advice(
 ) -> Advice:
     """The fits of a recommendation among the techniques that `engine` has, like `load_advice`.
 
-    three.js and Babylon.js are fitted as they draw, in their own units. Godot, Bevy, Filament and Unity are fitted as
+    Engines that are drawn here are fitted as they draw, in their own units. The others are fitted as
     shadow maps with their kernels and their profile of the normal offset, to be converted. The scene is drawn first,
     since an engine's units depend on it. Faces cast as in the configuration.
 
@@ -62,7 +58,7 @@ def engine_advice(
     seen = [view.config for view in config.views] or [config]
     with Progress(console) as shown:
         lit = [one for each in seen for one in lit_by(each, shown)]
-    if engine in FORMULA_ENGINES:
+    if not is_drawn(engine, config):
         try:
             lists = offered(engine, lit, _least_size(config))
         except ValueError as error:
@@ -93,27 +89,28 @@ def _check(config: Config, engine: EngineName) -> None:
         raise _mistake(config, ("technique", "type"), f"{what}; override technique.type=shadow_map")
 
 
+def is_drawn(engine: EngineName, config: Config) -> bool:
+    """Whether the shadows of `engine` are drawn here, under the lights of `config`."""
+    if engine not in ENGINE_TECHNIQUES:
+        return False
+    kinds = {light.type for light in config.scene.each_light.values()}
+    return engine not in FORMULA_ENGINES or kinds.issubset(ENGINE_TECHNIQUES[engine].settings.kinds)
+
+
 def _exact(
     engine: EngineName, config: Config, lit: Sequence[Lit]
 ) -> tuple[Mapping[str, Any], dict[str, list[dict[str, Any]]]]:
     """The technique, and the lists of biases and filters, of an engine whose shadows are drawn exactly."""
-    is_point = any(each.is_point for each in lit)
-    if engine == "three.js":
-        one = three_js(config, lit)
-        # The engine draws no VSM of a point light.
-        kinds = _THREE_FILTERS[:2] if is_point else _THREE_FILTERS
-        filters = [_filter(kind, "shadow_type", one, () if kind == "BasicShadowMap" else ("radius",)) for kind in kinds]
-    else:
-        one, filters = babylon_js(config, lit), []
-        for kind in _BABYLON_POINT_FILTERS if is_point else _BABYLON_FILTERS:
-            made = babylon_js(config, lit, kind)
-            filters.append(_filter(kind, "filter", made, [name for name in made.parameters if name not in _KEYS]))
-    bias, offset = _EXACT[engine]
-    choices = {bias: _KEYS[:1], offset: _KEYS[1:], f"{bias} + {offset}": _KEYS}
+    settings = ENGINE_TECHNIQUES[engine].settings
+    kinds = settings.point_filters if any(each.is_point for each in lit) else settings.filters
+    made = {kind: engine_fit(engine, config, lit, kind) for kind in kinds}
+    filters = [_filter(kind, settings.filter_key, one, settings.biases) for kind, one in made.items()]
+    one, (bias, offset), keys = engine_fit(engine, config, lit), settings.bias_names, settings.biases
+    choices = {bias: keys[:1], offset: keys[1:], f"{bias} + {offset}": keys}
     biases = [
         {
             LABEL: label,
-            **{f"technique.{name}": 0.0 for name in _KEYS},
+            **{f"technique.{name}": 0.0 for name in keys},
             _PARAMETERS: {f"technique.{name}": one.parameters[name] for name in fitted},
         }
         for label, fitted in choices.items()
@@ -121,9 +118,11 @@ def _exact(
     return one.technique, {"biases": biases, "filters": filters}
 
 
-def _filter(kind: str, key: str, made: EngineFit, fitted: Sequence[str]) -> dict[str, Any]:
+def _filter(kind: str, key: str, made: EngineFit, biases: Sequence[str]) -> dict[str, Any]:
+    entry: dict[str, Any] = {LABEL: kind, f"technique.{key}": kind}
+    # A single texel has no width.
+    fitted = [name for name in made.parameters if name not in biases and kind != "BasicShadowMap"]
     parameters = {f"technique.{name}": made.parameters[name] for name in fitted}
-    entry = {LABEL: kind, f"technique.{key}": kind}
     return {**entry, _PARAMETERS: parameters} if parameters else entry
 
 
@@ -134,7 +133,7 @@ def engine_code(engine: EngineName, config: Config, filter_label: str) -> dict[s
     """
     shown = Progress.quiet()
     first = config.views[0].config if config.views else config
-    if engine in FORMULA_ENGINES:
+    if not is_drawn(engine, first):
         lit = lit_by(first, shown)
         return {".".join(map(str, each.key)): code_of_formula(engine, config, filter_label, each) for each in lit}
     technique: Any = build_technique(config, fitting=False)
@@ -143,7 +142,8 @@ def engine_code(engine: EngineName, config: Config, filter_label: str) -> dict[s
 
 def code_file(engine: EngineName) -> str:
     """The file in a recommendation's folder that holds the code."""
-    return f"engine.{FORMULA_ENGINES[engine].suffix if engine in FORMULA_ENGINES else 'js'}"
+    known = FORMULA_ENGINES.get(engine)
+    return suffixed(ENGINE_TECHNIQUES[engine].settings.suffix if known is None else known.suffix)
 
 
 def title_of(engine: EngineName) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from ... import fit, raster
 from ..._arithmetic import as_float
 from ...config import Config, build_technique, fit_paths
+from ...shadow import ENGINE_TECHNIQUES
 from .._drawn import Drawn
 from ..record._sweeps import LeastBias, Load, Times
 from ..remarks._verdict import unexplained_verdict
@@ -23,7 +24,7 @@ from ._times import Watch, times_of, unevenness_of
 # Rounds in which every technique is timed once, in turns: what slows the machine down slows all of them.
 _ROUNDS = 15
 # The biases of engines' techniques.
-_OF_ENGINES = ("technique.bias", "technique.normal_bias")
+_OF_ENGINES = {f"technique.{key}" for each in ENGINE_TECHNIQUES.values() for key in each.settings.biases}
 # A bias is searched for at these many equal steps, then by halving the step where it is found: to a thousandth in all.
 _STEPS, _HALVINGS = 8, 7
 

@@ -20,6 +20,7 @@ def report_advice(folder: Path, record: AdviseRecord, form: str | None = None, d
     from ..pages._next import after_advice
     from ..pages._page import lines_of, write_page
     from ._figure import draw_front
+    from ._my_scene import scene_pictures
 
     advice = record.advice
     if advice is None or not (folder / RECOMMENDED).is_file():
@@ -44,6 +45,7 @@ def report_advice(folder: Path, record: AdviseRecord, form: str | None = None, d
         problems=advice.problems,
         figure=style.inline_svg(draw_front(candidates, chosen), _FIGURE),
         engine=None if advice.engine is None else ENGINES[advice.engine],
+        scene=scene_pictures(folder) if advice.engine is not None else [],
         code={key: lines_of(text) for key, text in advice.code.items()},
         recommended=lines_of((folder / RECOMMENDED).read_text(encoding="utf-8", errors="backslashreplace")),
         file=RECOMMENDED,

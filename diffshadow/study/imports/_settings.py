@@ -96,6 +96,14 @@ def _named[T: (io.SceneCamera, io.SceneLight)](
     return found[0]
 
 
+# Upper bounds of the biases of engines whose settings no file has.
+_MOST: dict[str, dict[str, float]] = {
+    "playcanvas": {"shadow_bias": 1.0, "normal_offset_bias": 0.2},
+    "bevy": {"shadow_depth_bias": 0.5, "shadow_normal_bias": 4.0},
+    "godot_compatibility": {"shadow_bias": 10.0, "shadow_normal_bias": 4.0},
+}
+
+
 def settings_of(
     chosen: Chosen,
     files: Sequence[str],
@@ -136,6 +144,16 @@ def settings_of(
         if shadow_type == "BasicShadowMap":
             del fitted["technique.radius"]
         settings["fit"] = {"parameters": fitted}
+    elif technique != "shadow_map":
+        # No file has their settings.
+        settings["technique"] = {"type": technique}
+        if shadow is not None:
+            size = max(shadow.map_size)
+            # Their maps are square, and Bevy's a power of two.
+            settings["shadow_map"] = {"resolution": [1 << (size - 1).bit_length()] * 2}
+            remarks.append(f"bias, normalBias and radius of the light's shadow: left out with technique {technique}")
+        bounds = {f"technique.{key}": {"lower": 0, "upper": most} for key, most in _MOST[technique].items()}
+        settings["fit"] = {"parameters": bounds}
     else:
         settings["technique"] = {"type": technique}
         for mesh in settings["scene"]["meshes"]:

@@ -23,7 +23,6 @@ from ._table import (
     words,
 )
 
-CODE = "engine.js"
 """The file in a run's folder that holds an engine's code."""
 # The console lists the losses of at most this many starts.
 _MAX_STARTS = 8
@@ -58,7 +57,7 @@ def print_run(console: Console, record: records.FolderRecord, seconds: float, re
     print_lines(console, lines)
     if isinstance(record, records.FitRecord):
         for key, code in record.code.items():
-            print_code(console, f"{CODE}, for {key}:", code)
+            print_code(console, f"{record.code_file}, for {key}:", code)
     print_lines(console, record.warnings or [], warn=True)
 
 

@@ -149,6 +149,8 @@ def write_from_light(folder: Path, end: str, technique: Any, from_light: Any) ->
 @eqx.filter_jit
 def _distances(shadow_map: shadow.ShadowMap | shadow.EngineMap) -> tuple[Float[Array, "*l h w"], Scalar, Scalar]:
     """Distances along the light's axis of the map's depths, and of its near and far plane, in world units."""
+    if isinstance(shadow_map, shadow.EngineMap):
+        return shadow_map.distances
     view = shadow_map.view
     return view.eye_depth(shadow_map.depth), view.near, view.far
 
@@ -163,7 +165,8 @@ def write_shadow_map(
 ) -> None:
     """Writes the shadow map as distances along the light's axis; empty texels are blank."""
     distance, near, far = _distances(shadow_map)
-    distance = np.where(np.asarray(shadow_map.depth) < 1, np.asarray(distance), np.nan)
+    is_drawn = shadow_map.is_drawn if isinstance(shadow_map, shadow.EngineMap) else shadow_map.depth < 1
+    distance = np.where(np.asarray(is_drawn), np.asarray(distance), np.nan)
     near, far = float(near), float(far)
     title, label = f"Shadow map, near {near:.3g}, far {far:.3g}", "distance along the light's axis [world units]"
     limits = {"cmap": style.DISTANCE, "vmin": near, "vmax": far}

@@ -309,6 +309,7 @@ class FitRecord(NumbersRecord):
     profiles: dict[str, Profile] = absent({})
     front: list[FrontPoint] = absent([])
     code: dict[str, str] = absent({})
+    code_file: str = absent("engine.js")
     poses: Poses | None = absent()
 
     @property

@@ -17,23 +17,26 @@ from ...config import (
     dump_resolved,
     parse_config,
 )
-from ...settings.engines import ENGINES, POLYGON_OFFSETS, Engine
+from ...settings.engines import ENGINES, POLYGON_OFFSETS, Engine, EngineName
 from ...settings.filters import Castano
 from ...settings.techniques import SingleMap
 from ...shadow import (
+    ENGINE_TECHNIQUES,
+    OFFSET_PROFILES,
+    AbstractEngineShadows,
     AbstractTechnique,
-    BabylonJs,
     EngineSetting,
+    OffsetProfile,
     PlainBias,
-    ThreeJs,
     castano_radius,
+    engine_code,
     engine_settings,
-    plain_bias,
     radius_settings,
 )
 from ..pages import _table as table
-from ._engine import FACES, SIDES, Lit, babylon_js, lit_by, three_js
+from ._engine import FACES, SIDES, Lit, engine_fit, lit_by, preset
 from ._fit import fit_technique
+from ._formula_engines import FORMULA_ENGINES, lines_of
 from ._measure import combined, measured
 from ._progress import Progress
 from ._setup import load, visibility_of
@@ -60,10 +63,11 @@ def convert(
     source: Path | str = "",
     overrides: Sequence[str] = (),
     fits: bool = True,
+    engine: EngineName | None = None,
 ) -> None:
     """Prints the bias and the filter's radius of `config` in the units of engines, for each of its lights.
 
-    The technique is a shadow map, or three.js' or Babylon.js' own. A constant bias and a normal offset are converted by
+    The technique is a shadow map, or an engine's own. A constant bias and a normal offset are converted by
     formulas. To a bias that an engine lacks, the shadows of three.js and Babylon.js are fitted, over the same views,
     and their code and errors are printed. For the other engines, the command that fits what they have is printed.
 
@@ -72,11 +76,13 @@ def convert(
     - `origin`: where the values of `config` come from, as a part of a sentence.
     - `source`, `overrides`: what the user gave: a file or a folder, and values in place of its own.
     - `fits`: whether engines that lack the bias are fitted.
+    - `engine`: the only engine to convert to. Its finished code is printed in place of a table.
 
     **Raises** `ConfigError` for a technique or a light that has none of these.
     """
     if not isinstance(config.technique, SingleMap | Engine):
-        expected = "expected shadow_map, three.js or babylon.js, whose bias is converted: change it"
+        *names, last = ENGINE_TECHNIQUES
+        expected = f"expected shadow_map, {', '.join(names)} or {last}, whose bias is converted: change it"
         what = f"is {config.technique.type}; {expected}"
         raise ConfigError([Mistake(config.origin.place(("technique", "type")), "technique.type", what)])
     technique = build_technique(config, fitting=False)
@@ -86,6 +92,9 @@ def convert(
     if origin:
         table.print_lines(console, [f"the values come from {origin}"])
     lacking = list(_lacking(config))
+    if engine is not None:
+        _convert_to(engine, config, technique, lit, plain, lacking, console, source, overrides, fits)
+        return
     excluded = _print_conversions(config, lit, plain, lacking, console)
     if not lacking:
         table.print_lines(console, [f"valid where {_casting(technique, config)}", _VALID, _BESIDE])
@@ -94,11 +103,102 @@ def convert(
         key = "technique.normal_bias" if of_engine else "bias.normal_offset_profile"
         keys = lacking or [f"{key} ({plain[0].profile})"]
         table.print_lines(console, [f"{', '.join(excluded)} have no {' and no '.join(keys)}"])
-        left = _convert_by_fits(config, technique, lit, excluded, console) if fits else excluded
+        # Each more takes as long as a fit.
+        drawn = [title for title in excluded if title in _FITTED]
+        others = [title for title in excluded if title not in _FITTED]
+        left = (_convert_by_fits(config, technique, lit, drawn, console) if fits else drawn) + others
         alone = "technique.bias alone, with technique.normal_bias=0" if of_engine else _ALONE
         table.print_lines(console, _instead(left, source, overrides, alone))
 
 
+def _convert_to(
+    engine: EngineName,
+    config: Config,
+    technique: AbstractTechnique,
+    lit: list[Lit],
+    plain: list[PlainBias],
+    lacking: list[str],
+    console: Console,
+    source: Path | str,
+    overrides: Sequence[str],
+    fits: bool,
+) -> None:
+    """Prints finished code for one engine: with the same shift and offset, or fitted if it has no such bias."""
+    title = ENGINES[engine]
+    has = [_profile_of(engine, config, each) for each in lit]
+    others = [each for each, profile in zip(plain, has, strict=True) if each.offset and each.profile != profile]
+    reasons = lacking or [f"a normal offset with the profile {each.profile}" for each in others[:1]]
+    if not reasons:
+        try:
+            codes = {
+                each.key: _code_for(engine, config, technique, each, bias)
+                for each, bias in zip(lit, plain, strict=True)
+            }
+        except ValueError as error:
+            reasons = [str(error)]
+        else:
+            for key, code in codes.items():
+                table.print_code(console, f"{title}, for {'.'.join(map(str, key))}:", code)
+            table.print_lines(console, [f"valid where {_casting(technique, config)}", _VALID])
+            return
+    table.print_lines(console, [f"{title} does not have what this configuration has: {', '.join(reasons)}"])
+    left = _convert_by_fits(config, technique, lit, [title], console) if fits else [title]
+    table.print_lines(console, _instead(left, source, overrides, _ALONE))
+
+
+def _profile_of(engine: EngineName, config: Config, lit: Lit) -> OffsetProfile:
+    """How the engine's normal offset grows with the angle to the light."""
+    if not _is_drawn(engine, lit):
+        return OFFSET_PROFILES[ENGINES[engine]]
+    there = preset(engine, config)
+    return there.plain(there.frame(lit.scene, lit.distance), lit.distance).profile
+
+
+def _is_drawn(engine: EngineName, lit: Lit) -> bool:
+    """Whether the engine's shadows of this light are drawn here."""
+    return engine in ENGINE_TECHNIQUES and lit.kind in ENGINE_TECHNIQUES[engine].settings.kinds
+
+
+def _code_for(engine: EngineName, config: Config, technique: AbstractTechnique, lit: Lit, plain: PlainBias) -> str:
+    """Code that gives an engine the shift, the offset and the filter's width of `plain`.
+
+    **Raises** `ValueError` if it has no such bias.
+    """
+    size, radius = config.shadow_map.resolution, plain.radius or 0.0
+    own = lit.texel
+    if isinstance(technique, AbstractEngineShadows):
+        own = technique.frame(lit.scene, lit.distance).texel
+    if not _is_drawn(engine, lit):
+        return _formula_code(engine, lit, size, plain, radius)
+    there = preset(engine, config)
+    frame = there.frame(lit.scene, lit.distance)
+    there = there.as_wide(radius * own / frame.texel, frame)
+    made = there.biased(frame, plain.shift, plain.offset * own, lit.distance)
+    return engine_code(made, lit.scene.light, (lit.distance, lit.distance), lit.scene.origin)
+
+
+def _formula_code(engine: EngineName, lit: Lit, size: tuple[int, int], plain: PlainBias, radius: float) -> str:
+    """The code of an engine that is not drawn here, with that of its filters which is nearly as wide."""
+    every = FORMULA_ENGINES[engine].filters
+    sized = [each for each in every if each.is_sized]
+    nearest = min(every, key=lambda each: abs(_width(each.section) - radius))
+    chosen = sized[0] if sized and radius else nearest
+    width = radius if chosen.is_sized else float(chosen.section.get("radius", 0.0))
+    lines = lines_of(engine, chosen, width, lit.scene.light, size, plain.shift, plain.offset, lit.distance)
+    comment = FORMULA_ENGINES[engine].comment
+    said = f"{comment} {ENGINES[engine]}, {chosen.label}. Read from its sources, and not verified against the engine."
+    return "\n".join([said, *lines, ""])
+
+
+def _width(section: Mapping[str, Any]) -> float:
+    """The radius of a disk that is as wide as a filter of this library, texels."""
+    if section["type"] == "castano":
+        return castano_radius(section["size"])
+    return _DISKS[section["type"]] * section.get("radius", 0.0)
+
+
+# The engines that are fitted without being asked for.
+_FITTED = ("three.js", "Babylon.js")
 _VALID = "valid for this light's map; with another window, size, near or far, convert again"
 _BESIDE = (
     f"{' and '.join(ENGINES[name] for name in POLYGON_OFFSETS)} draw their maps with a polygon offset besides, so less "
@@ -125,8 +225,8 @@ def _print_conversions(
 
 def _plain(config: Config, technique: AbstractTechnique, lit: Lit) -> PlainBias:
     """The bias and the filter's width at the median receiver."""
-    if isinstance(technique, ThreeJs | BabylonJs):
-        return plain_bias(technique, lit.scene.light, lit.distance)
+    if isinstance(technique, AbstractEngineShadows):
+        return technique.plain(technique.frame(lit.scene, lit.distance), lit.distance)
     bias, is_texels = config.bias, config.bias.unit == "texels"
     shift = (bias.constant if is_texels else bias.constant / lit.depth_per_texel) * lit.texel
     return PlainBias(
@@ -215,7 +315,7 @@ def _convert_by_fits(
 ) -> list[str]:
     """Fits the shadows of all `engines` that can be drawn, and prints their errors and their code. **Returns** the
     engines that are left."""
-    fits = {name: overrides for name, overrides in _fits(config, lit).items() if name in engines}
+    fits = _fits(config, lit, engines)
     runs: dict[str, FittedRun] = {}
     with Progress(console) as progress:
         for name, overrides in fits.items():
@@ -223,7 +323,9 @@ def _convert_by_fits(
             runs[name] = fit_technique(settings, progress)
         errors = {"this configuration": _errors_of(config, technique, progress)} if runs else {}
     if runs:
-        table.print_lines(console, [f"so {' and '.join(runs)} are fitted to the same reference, with their own bias:"])
+        are, their = ("is", "its") if len(runs) == 1 else ("are", "their")
+        said = f"so {' and '.join(runs)} {are} fitted to the same reference, with {their} own bias:"
+        table.print_lines(console, [said])
         table.print_rows(console, errors | {name: run.errors["after"] for name, run in runs.items()})
     for name, run in runs.items():
         for key, code in run.code.items():
@@ -259,11 +361,18 @@ def _errors_of(config: Config, technique: AbstractTechnique, progress: Progress)
     return combined([measured(visibility_of(technique, each), each) for each in drawn], drawn)
 
 
-def _fits(config: Config, lit: list[Lit]) -> dict[str, list[str]]:
-    """The overrides that fit the shadows of each engine with a map of the same size."""
+def _fits(config: Config, lit: list[Lit], titles: Sequence[str]) -> dict[str, list[str]]:
+    """The overrides that fit the shadows of those engines with a map of the same size."""
     common = ["fit.prefer=[]", "fit.intervals=[]", "fit.front=0", "fit.multistart=1"]
     height, width = config.shadow_map.resolution
-    made = {"three.js": three_js(config, lit), **({"Babylon.js": babylon_js(config, lit)} if height == width else {})}
+    kinds = {each.kind for each in lit}
+    made = {
+        ENGINES[name]: engine_fit(name, config, lit)
+        for name, each in ENGINE_TECHNIQUES.items()
+        if ENGINES[name] in titles
+        and (height == width or not each.settings.has_square_maps)
+        and kinds.issubset(each.settings.kinds)
+    }
     return {
         name: [
             f"technique={json.dumps(each.technique)}",

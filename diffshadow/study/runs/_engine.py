@@ -2,18 +2,19 @@
 engine's own units."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from jaxtyping import Float32
 
 from ... import shadow
 from ..._types import HostArray, VectorMap
-from ...config import Config, ConfigError, DirectionalLightConfig, Mistake
+from ...config import Config, ConfigError, DirectionalLightConfig, Mistake, build_technique
 from ...geometry import WORLD, AbstractLight, DirectionalLight, PointLight, Scene
 from ...raster import Surface, draw_surface
-from ...settings import scene
-from ...settings.engines import BabylonFilter, BabylonJs, Side, ThreeJs
+from ...settings import Fitted, scene
+from ...settings.engines import BabylonFilter, BabylonJs, Engine, EngineName, Side, ThreeJs
+from ...settings.scene import LightKind
 from .._drawn import Drawn
 from ._progress import Progress
 from ._setup import load
@@ -36,6 +37,13 @@ class Lit(NamedTuple):
     texel: float
     depth_per_texel: float
     distance: float
+
+    @property
+    def kind(self) -> LightKind:
+        """Of the light."""
+        if self.is_point:
+            return "point"
+        return "directional" if self.scene.light.is_directional else "spot"
 
     @property
     def is_point(self) -> bool:
@@ -140,19 +148,69 @@ def babylon_js(config: Config, lit: Sequence[Lit], kind: BabylonFilter | None = 
     return EngineFit({"type": "babylon.js", "filter": kind, "float_maps": True, **sides}, parameters)
 
 
+def engine_fit(name: EngineName, config: Config, lit: Sequence[Lit], kind: str | None = None) -> EngineFit:
+    """Of any engine that is drawn here, with the filter `kind`, by default the engine's. Faces cast as in `config`."""
+    if name == "three.js":
+        return three_js(config, lit)
+    if name == "babylon.js":
+        return babylon_js(config, lit, cast(BabylonFilter | None, kind))
+    own, settings = preset(name, config), shadow.ENGINE_TECHNIQUES[name].settings
+    fixed = [each for each in settings.each() if each != "type" and not _is_fitted(settings, each)]
+    given = {each: _as_written(getattr(own, each)) for each in fixed}
+    if kind is not None:
+        given[settings.filter_key] = kind
+    lights = [(own.frame(each.scene, each.distance), each.distance) for each in lit]
+    bounds = {key: _bounds(*each) for key, each in own.bounds(lights).items()}
+    return EngineFit({"type": name, **given}, bounds)
+
+
+def _as_written(value: Any) -> Any:
+    """A setting as a configuration has it."""
+    return float(value) if hasattr(value, "dtype") else value
+
+
+def _is_fitted(settings: type[Engine], key: str) -> bool:
+    return any(isinstance(mark, Fitted) for mark in settings.each()[key].marks)
+
+
+def preset(name: EngineName, config: Config) -> shadow.AbstractEngineShadows:
+    """An engine's shadows with its defaults, or those of `config` if its technique is this engine's.
+
+    The map's size and the faces that cast are those of `config`.
+    """
+    technique = shadow.ENGINE_TECHNIQUES[name]
+    if config.technique.type == name:
+        return cast(shadow.AbstractEngineShadows, build_technique(config, fitting=False))
+    settings, size = technique.settings, config.shadow_map.resolution
+    fields: dict[str, Any] = {"resolution": size}
+    side = SIDES[config.shadow_map.cull]
+    if name == "three.js":
+        fields["shadow_side"] = side
+    elif name == "babylon.js":
+        fields["back_face_culling"] = side != "double"
+    elif "side" in settings.each():
+        fields["side"] = side
+    return technique(**fields)
+
+
 def _bounds(initial: float, lower: float, upper: float) -> dict[str, float]:
     return {"initial": initial, "lower": lower, "upper": upper}
 
 
+def code_file(suffix: str) -> str:
+    """The file in a run's folder that holds an engine's code, in a language whose files end like this."""
+    return f"engine.{suffix}"
+
+
 def code_of(technique: shadow.FittableTechnique, config: Config, drawn: Sequence[Drawn]) -> dict[str, str]:
     """The code for each light of `config`, by its key; none if the technique is no engine's."""
-    if not isinstance(technique, shadow.ThreeJs | shadow.BabylonJs):
+    if not isinstance(technique, shadow.AbstractEngineShadows):
         return {}
     sections = config.scene.each_light.values()
     return {each.key: _code(technique, section, each) for section, each in zip(sections, drawn, strict=True)}
 
 
-def _code(technique: shadow.ThreeJs | shadow.BabylonJs, section: scene.Light, drawn: Drawn) -> str:
+def _code(technique: shadow.AbstractEngineShadows, section: scene.Light, drawn: Drawn) -> str:
     light = _as_given(section, drawn.scene.light)
     # What the section gives is in world coordinates.
     origin = WORLD if isinstance(light, shadow.EngineLight) else drawn.scene.origin

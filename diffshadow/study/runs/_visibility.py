@@ -17,7 +17,6 @@ from ..._words import counted
 from ...config import Config, FitPlan, build_shadow_mapping
 from ...geometry import Scene
 from .._drawn import Drawn
-from ..pages._console import CODE
 from ..record import _runs as records
 from ..record._stored import StoredRun
 from ..remarks._bias import bias_remarks
@@ -25,7 +24,7 @@ from ..remarks._fit import remarks
 from ..remarks._layout import layout_remarks
 from ..remarks._reference import reference_remarks
 from ..remarks._verdict import verdict
-from ._engine import code_of
+from ._engine import code_file, code_of
 from ._explained import fitted_images, unexplained
 from ._measure import Pictures, combined, light_arrays, measured, noise, perceptual_error, shaded, stacked, suffix
 from ._progress import Progress
@@ -253,6 +252,7 @@ class FittedRun:
             profiles={each.name: records.Profile.of(each) for each in result.profiles},
             front=[records.FrontPoint.of(point, values=named(point.values)) for point in result.front],
             code=self.code,
+            code_file=code_file("js" if self.config is None else getattr(self.config.technique, "suffix", "js")),
             poses=poses,
             warnings=self.remarks,
             **about,
@@ -294,7 +294,7 @@ class FittedRun:
 
             write_paths(draft / "paths.png", self.drawn[0].scene, self.result, self.truth)
         if run.record.code:
-            (draft / CODE).write_text("\n".join(run.record.code.values()))
+            (draft / run.record.code_file).write_text("\n".join(run.record.code.values()))
 
 
 def spaced(start: int, end: int) -> list[int]:

@@ -34,15 +34,16 @@ def surface_of(golden: EngineGolden) -> Surface:
     meshes = golden.settings["meshes"]
     position, normal, mesh = (golden.arrays[key] for key in ("position", "normal", "mesh"))
     # three.js turns the normals of back sides.
-    turned = np.array([mesh.get("side") == "back" for mesh in meshes])[mesh]
+    is_three = golden.engine == "three"
+    turned = np.array([is_three and mesh.get("side") == "back" for mesh in meshes])[mesh]
     normal = jnp.asarray(np.where(turned[..., None], -normal, normal))
     first = np.cumsum([0, *(len(mesh["faces"]) for mesh in meshes)])[mesh]
     face = jnp.asarray(np.where(mesh >= 0, first, -1), jnp.int32)
     return Surface(jnp.asarray(position), normal, normal, normal, face, jnp.asarray(mesh >= 0))
 
 
-def scene_of(golden: EngineGolden) -> Scene:
-    """The engine's scene."""
+def scene_of(golden: EngineGolden, light: Any = None) -> Scene:
+    """The engine's scene, with its light, or with the `light` given."""
     meshes = []
     for mesh in golden.settings["meshes"]:
         faces = mesh["faces"].astype(np.int32)
@@ -59,7 +60,7 @@ def scene_of(golden: EngineGolden) -> Scene:
         resolution=(golden.settings["height"], golden.settings["width"]),
     )
     casts = tuple(mesh.get("casts", True) for mesh in golden.settings["meshes"])
-    return Scene(meshes, camera, light_of(golden), casts, receives(golden))
+    return Scene(meshes, camera, light_of(golden) if light is None else light, casts, receives(golden))
 
 
 def receives(golden: EngineGolden) -> tuple[bool, ...]:

@@ -10,8 +10,8 @@ from engine_states import light_of
 from golden_engines import engine_golden
 
 from diffshadow.geometry import DirectionalLight, MatrixLight, PointLight, RectangleLight, SpotLight
-from diffshadow.shadow import BabylonJs, EngineLight, ThreeJs, engine_code
-from diffshadow.shadow.engines._abstract import engine_light
+from diffshadow.shadow import BabylonJs, Bevy, EngineLight, GodotCompatibility, PlayCanvas, ThreeJs, engine_code
+from diffshadow.shadow.engines._axes import engine_light
 
 SUN = DirectionalLight((0.3, -1.0, -0.2), (0.5, 1, 0), (4.0, 2.0), -3.0, 3.0)
 
@@ -193,3 +193,32 @@ def test_lights_that_the_engine_lacks_are_named():
     area = RectangleLight((0, 3, 0), (0, -1, 0), (1.0, 1.0), 45.0, 0.1, 9.0)
     with pytest.raises(ValueError, match="RectangleLight; expected a directional, spot, point or matrix light"):
         engine_code(ThreeJs(), area, (1.0, 2.0))
+
+
+def test_engines_that_fit_their_cameras_are_given_the_lights_direction():
+    sun = PlayCanvas.directional_light((1.0, -2.0, 0.5))
+    code = engine_code(PlayCanvas(shadow_bias=0.1, num_cascades=3, resolution=(64, 64)), sun, (1.0, 5.0))
+    assert "entity.lookAt(entity.getPosition().clone().add(new pc.Vec3(1, -2, 0.5)));" in code
+    assert "entity.light.shadowBias = 0.1;  // casters move away by 1 of their depth's steps" in code
+    assert "entity.light.cascadeDistribution = 0.5;" in code
+    code = engine_code(Bevy(shadow_normal_bias=1.0, resolution=(64, 64)), sun, (1.0, 5.0))
+    assert "Transform::default().looking_to(Vec3::new(1.0, -2.0, 0.5), Vec3::Y)," in code
+    assert "shadow_normal_bias: 1.4142 texels along the normal." in code
+    code = engine_code(GodotCompatibility(resolution=(64, 64)), sun, (1.0, 5.0))
+    assert "light.look_at_from_position(Vector3.ZERO, Vector3(1, -2, 0.5))" in code
+    assert "light.directional_shadow_mode = DirectionalLight3D.SHADOW_PARALLEL_4_SPLITS" in code
+
+
+def test_positional_lights_stand_where_they_were_put():
+    spot = Bevy.spot_light((1.0, 3.0, 2.0), (-0.4, -1.0, -0.3), outer_angle=0.5, range=8.0)
+    code = engine_code(Bevy(resolution=(64, 64)), spot, (1.0, 5.0))
+    # Rust takes no whole number for a float.
+    assert "Transform::from_xyz(1.0, 3.0, 2.0).looking_at(Vec3::new(0.6, 2.0, 1.7), Vec3::Y)" in code
+    assert "outer_angle: 0.5, range: 8.0, shadow_map_near_z: 0.1, ..default()" in code
+    lamp = PlayCanvas.omni_light((0.0, 2.0, 0.0), range=5.0)
+    code = engine_code(PlayCanvas(resolution=(64, 64), side=("front", "double")), lamp, (1.0, 5.0))
+    assert "entity.light.shadowBias = 0.05;  // 0.0025 world units towards the light" in code
+    assert "// material.cull of each mesh: pc.CULLFACE_BACK, pc.CULLFACE_NONE" in code
+    code = engine_code(GodotCompatibility(resolution=(64, 64)), lamp, (1.0, 5.0))
+    # A cube's face is half as wide as the light's part, and this a half of the atlas.
+    assert "get_viewport().positional_shadow_atlas_size = 256" in code

@@ -8,7 +8,7 @@ from golden_engines import engine_golden
 
 from diffshadow.geometry import PointLight
 from diffshadow.shadow import BabylonJs, ThreeJs
-from diffshadow.shadow.engines._abstract import engine_light
+from diffshadow.shadow.engines._axes import engine_light
 from diffshadow.shadow.engines._given import BABYLON_NUDGE, THREE_NUDGE
 
 NUDGES = {"three": THREE_NUDGE, "babylon": BABYLON_NUDGE}

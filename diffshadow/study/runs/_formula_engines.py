@@ -13,7 +13,7 @@ from ...geometry import AbstractLight, PointLight
 from ...settings.engines import ENGINES, POLYGON_OFFSETS, EngineName
 from ...settings.rules import ENGINE_RULES
 from ...shadow import GODOT_QUALITIES, OFFSET_PROFILES, LightFrame, engine_settings, light_frame
-from ..runs._engine import FACES, SIDES, Lit
+from ._engine import FACES, SIDES, Lit
 
 _MOST = {"constant": 30.0, "normal_offset": 4.0}
 # Godot divides its bias by the radius.

@@ -1,0 +1,442 @@
+"""The shadows of PlayCanvas (2.23, WebGL2, without clustered lighting)."""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from typing import Any, ClassVar, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..._arithmetic import as_number, dot, in_unit_range, normalize, safe_norm
+from ..._checks import as_tuple
+from ..._types import AsScalar, HostArray, Resolution, Visibility
+from ...geometry import (
+    WORLD,
+    AbstractLight,
+    DirectionalLight,
+    MatrixLight,
+    Mesh,
+    Origin,
+    PointLight,
+    Scene,
+    SpotLight,
+)
+from ...raster import Surface
+from ...settings import maps
+from ...settings.engines import PlayCanvas as Settings
+from ...settings.engines import PlayCanvasShadow, Side, Sides
+from .._compare import AbstractCompare, HardCompare
+from ._abstract import AbstractEngineShadows
+from ._axes import refused_light, upright_axes
+from ._cameras import (
+    QUARTERS,
+    CameraOfLight,
+    EngineCameras,
+    cone_projection,
+    frustum_corners,
+    in_quarters,
+    in_single,
+    inverse_pose,
+    of_quarters,
+    parallel_projection,
+    sphere_from_mean,
+    split_depths,
+    viewport,
+)
+from ._code import about, number, place
+from ._convert import LightFrame, PlainBias, light_frame
+from ._engine_map import EngineMap, distance_map_of, each_of, sloped_map_of
+from ._given import fitted_directional_light, playcanvas_omni_light, playcanvas_spot_light
+from ._light import EngineLight, plain
+from ._taps import TentSize, castano_radius, mean_of, tent
+from ._textures import bilinear_in_cube, place_in_cube, rounded, with_borders
+
+_WHOLE = viewport(0.0, 0.0, 1.0)
+_SIZES: dict[PlayCanvasShadow, TentSize] = {"PCF1_32F": 1, "PCF3_32F": 3, "PCF5_32F": 5}
+# Of a directional light's receivers, in window depth.
+_HIDDEN_BIAS = 1e-4
+# Slopes of the polygon offset, and parts of the range, per unit of `shadow_bias`.
+_SLOPES, _PARTS = 10.0, 0.01
+# What a point light's map holds at most, and its near and a spot light's over its range.
+_FARTHEST, _NEAR = 0.99999, 1e-3
+# A light that is weaker than this part casts no shadow.
+_FAINT = 1e-5
+# The least difference of the cosines of a cone's angles.
+_NO_RIM = 1e-7
+# Bound of the normal offset in a fit.
+_MOST_TEXELS = 4.0
+_TETRAHEDRON = np.array([(1, 1, 1), (-1, -1, 1), (-1, 1, -1), (1, -1, -1)], np.float32)
+# Of the camera of a directional light: its near plane, and the room before the nearest caster.
+_FIRST, _ROOM = 0.01, 0.1
+# How far behind the scene it is put before its depth range is known, world units.
+_AWAY = 1e6
+
+
+class PlayCanvas(AbstractEngineShadows):
+    """The shadows of PlayCanvas 2.23, as it draws them on WebGL2 with `scene.clusteredLightingEnabled = false`.
+
+    Fields are named after those of `LightComponent`. A directional light's cameras are the engine's: they are fitted to
+    what the scene's camera sees up to `shadow_distance`, and only the direction of the light counts.
+
+    - `shadow_type`: the filter: one bilinear compare, or a tent over 3 or 5 texels. Under a point light, four compares
+        for the last two.
+    - `shadow_bias`: from 0 to 1. Under directional and spot lights it is a tenth of the factor of a polygon offset with
+        which casters are drawn: the depth moves by ten times this many of its steps from texel to texel. Under a point
+        light, receivers move by a hundredth of its range times this.
+    - `normal_offset_bias`: how far receivers move along their normals, in world units; under a point light, times the
+        distance to it and 1 - cos θ.
+    - `shadow_intensity`: of the shadow, from 0 to 1.
+    - `shadow_distance`: depth up to which a directional light casts shadows, world units.
+    - `num_cascades`, `cascade_distribution`: the cascades of a directional light, which share the map, and how
+        logarithmic their ends are. The engine's `cascadeBlend`, whose noise depends on the device, is 0.
+    - `side`: which faces of the meshes' materials are drawn (`material.cull`), and so cast: of all, or of each.
+    - `resolution`, `subpixels`, `compare`: see `AbstractEngineShadows`. Maps are square.
+
+    The polygon offset has a derivative through the slopes of the casters that the map was drawn with. Which of them is
+    the nearest follows the bias only when the map is drawn again.
+
+    Under a directional light receivers also move towards it by 1e-4 of the depth range, which the engine fits to the
+    bounding boxes of the casters.
+
+    **Raises** `ValueError` for a map that is not square.
+    """
+
+    settings: ClassVar = Settings
+
+    shadow_bias: AsScalar = eqx.field(converter=as_number, default=Settings.shadow_bias)
+    normal_offset_bias: AsScalar = eqx.field(converter=as_number, default=Settings.normal_offset_bias)
+    shadow_intensity: AsScalar = eqx.field(converter=as_number, default=Settings.shadow_intensity)
+    compare: AbstractCompare = HardCompare()
+    shadow_type: PlayCanvasShadow = eqx.field(static=True, default=Settings.shadow_type)
+    shadow_distance: float = eqx.field(static=True, default=Settings.shadow_distance)
+    num_cascades: int = eqx.field(static=True, default=Settings.num_cascades)
+    cascade_distribution: float = eqx.field(static=True, default=Settings.cascade_distribution)
+    side: Sides = eqx.field(static=True, converter=as_tuple, default=Settings.side)
+    resolution: Resolution = eqx.field(static=True, converter=as_tuple, default=maps.ShadowMap.resolution)
+    subpixels: int = eqx.field(static=True, default=Settings.subpixels)
+
+    directional_light = staticmethod(fitted_directional_light)
+    spot_light = staticmethod(playcanvas_spot_light)
+    omni_light = staticmethod(playcanvas_omni_light)
+
+    def prepare(self, scene: Scene, surface: Surface | None = None) -> EngineMap:
+        """The map of the scene's only light. It does not depend on `surface`.
+
+        **Raises** `ValueError` for an area light, for cascades of a light that is no `DirectionalLight`, or a number of
+        sides that is not the number of meshes.
+        """
+        light = self.cameras_of(scene)
+        casters = self.casters(scene)
+        if isinstance(light, PointLight):
+            depth = distance_map_of(casters, light, self.resolution, self.subpixels)
+            return self._state(jnp.where(depth < 1, jnp.minimum(depth, _FARTHEST), 1), scene, light)
+        factor = _SLOPES * self.shadow_bias
+        drawn = sloped_map_of(
+            casters, light.clip(casters.vertices), self._size_of(light), self.subpixels, factor, factor
+        )
+        return dataclasses.replace(self._state(drawn.depth, scene, light), slope=drawn.slope, drawn_with=factor)
+
+    def from_map(self, stored: Any, scene: Scene) -> EngineMap:
+        """The state that `prepare` returns, with the map that the engine has drawn in place of our map.
+
+        `stored` is the depth texture; of a point light, its first channel. Cascades lie in it as in the engine. For the
+        arguments and errors see `AbstractEngineShadows.from_map`.
+        """
+        light = self.cameras_of(scene)
+        depth = self.checked_map(stored, light, is_depth=True)
+        if isinstance(light, PointLight):
+            return self._state(depth, scene, light)
+        layers = of_quarters(depth, light.count, QUARTERS)
+        return dataclasses.replace(self.prepare(scene), depth=layers)
+
+    def _state(self, depth: Float[Array, "*l h w"], scene: Scene, light: AbstractLight) -> EngineMap:
+        state = self.with_depth(depth, scene, light, [1.0] * len(scene.meshes))
+        return dataclasses.replace(state, unit="distance" if isinstance(light, PointLight) else "window")
+
+    def _size_of(self, light: EngineCameras) -> Resolution:
+        """(height, width) in texels of each cascade."""
+        height, width = self.resolution
+        return self.resolution if light.count == 1 else (height // 2, width // 2)
+
+    def casting_sides(self, scene: Scene) -> tuple[Side | None, ...]:
+        side = each_of(self.side, scene.meshes, "side")
+        casts = scene.casts or (True,) * len(side)
+        return tuple(one if does else None for one, does in zip(side, casts, strict=True))
+
+    def cameras_of(self, scene: Scene) -> EngineCameras | PointLight:
+        """The light of `scene` with the engine's cameras.
+
+        **Raises** `ValueError` as `prepare` does.
+        """
+        light = scene.light
+        match light:
+            case PointLight():
+                return PointLight(light.position, _NEAR * light.far, light.far)
+            case DirectionalLight():
+                return self._fitted(scene, light)
+            case SpotLight():
+                axes, far = _axes_of(light.direction), plain([light.far])[0]
+                near, tangent = _NEAR * far, float(np.tan(np.deg2rad(plain([light.outer_angle])[0])))
+                view, projection = (
+                    inverse_pose(_as_kept(axes), plain(light.position)),
+                    cone_projection(tangent, near, far),
+                )
+                angle = light.inner_angle
+                inner = None if angle is None else jnp.cos(jnp.deg2rad(angle))
+                return dataclasses.replace(
+                    EngineCameras.of([_camera(view, projection, near, far)], True), inner_cosine=inner
+                )
+            case MatrixLight():
+                is_spot = light.is_perspective
+                ends = None if is_spot else [self._end(scene)]
+                return EngineCameras.of([camera_of(light)], is_spot, None if is_spot else scene.camera, ends)
+        raise refused_light(light, self.settings.kinds)
+
+    def _end(self, scene: Scene) -> float:
+        return min(float(scene.camera.far), self.shadow_distance)
+
+    def _fitted(self, scene: Scene, light: DirectionalLight) -> EngineCameras:
+        """A directional light's cameras: squares about spheres around what the camera sees, in steps of two texels, as
+        deep as the boxes of the casters in them."""
+        axes = _axes_of(light.direction)
+        near, end = float(scene.camera.near), self._end(scene)
+        ends = split_depths(near, end, self.num_cascades, self.cascade_distribution)
+        sides = self.casting_sides(scene)
+        boxes = [_Box.about(mesh) for mesh, side in zip(scene.meshes, sides, strict=True) if side is not None]
+        cameras = []
+        for index, (begin, depth) in enumerate(zip([near, *ends], ends, strict=False)):
+            centre, radius = sphere_from_mean(frustum_corners(scene.camera, begin, depth))
+            steps = self.resolution[0] / 4 / radius
+            at = axes @ centre
+            at[:2] = np.ceil(at[:2] * steps) / steps
+            eye, far = _behind(at @ axes, axes, [box for box in boxes if box.meets(axes, at, radius)])
+            place = _WHOLE if self.num_cascades == 1 else viewport(*QUARTERS[index], 0.5)
+            view, projection = inverse_pose(_as_kept(axes), eye), parallel_projection(radius, _FIRST, far)
+            cameras.append(_camera(view, projection, _FIRST, far, place))
+        return EngineCameras.of(cameras, False, scene.camera, ends)
+
+    def frame(self, scene: Scene, distance: float) -> LightFrame:
+        return light_frame(self.cameras_of(scene), self._size_of_first, distance)
+
+    @property
+    def _size_of_first(self) -> Resolution:
+        return self.resolution if self.num_cascades == 1 else (self.resolution[0] // 2, self.resolution[0] // 2)
+
+    def plain(self, frame: LightFrame, distance: float) -> PlainBias:
+        """Without the polygon offset, which no other engine lets one set."""
+        radius = castano_radius(_SIZES[self.shadow_type])
+        offset = float(self.normal_offset_bias)
+        if frame.kind == "point":
+            shift = _PARTS * float(self.shadow_bias) * frame.far
+            return PlainBias(shift, 0, offset * distance / frame.texel, 1, "one_minus_cosine", radius)
+        shift = _HIDDEN_BIAS * (frame.far - frame.near) if frame.kind == "directional" else 0.0
+        return PlainBias(shift, 0, offset / frame.texel, 0, "constant", radius)
+
+    def bounds(self, lights: Sequence[tuple[LightFrame, float]]) -> dict[str, tuple[float, float, float]]:
+        offset = max(frame.texel / (at if frame.kind == "point" else 1) for frame, at in lights)
+        return {
+            "shadow_bias": (Settings.shadow_bias, 0.0, 1.0),
+            "normal_offset_bias": (0.0, 0.0, min(_MOST_TEXELS * offset, 1.0)),
+        }
+
+    def biased(self, frame: LightFrame, shift: float, offset: float, distance: float) -> "PlayCanvas":
+        if frame.kind == "point":
+            values = {"shadow_bias": shift / frame.far / _PARTS, "normal_offset_bias": offset / distance}
+            return dataclasses.replace(self, **{name: min(value, 1.0) for name, value in values.items()})
+        if shift:
+            raise ValueError("PlayCanvas has no constant bias under directional and spot lights; expected none")
+        return dataclasses.replace(self, shadow_bias=0.0, normal_offset_bias=min(offset, 1.0))
+
+    def code(self, given: EngineLight, distances: tuple[float, float], origin: Origin = WORLD) -> list[str]:
+        is_point, bias = given.type == "point", float(self.shadow_bias)
+        amount = (
+            f"{about(_PARTS * bias * given.far)} world units towards the light"
+            if is_point
+            else f"casters move away by {about(_SLOPES * bias)} of their depth's steps from texel to texel"
+        )
+        lines = ["app.scene.clusteredLightingEnabled = false;  // with it, spot and omni lights share another map"]
+        if given.type != "directional":
+            lines += [f"entity.setPosition({place(given.position, origin)});"]
+        if given.target is not None:
+            target = given.target if given.type == "spot" else given.direction
+            way = ", ".join(map(number, target or ()))
+            # Added to where it stands, which does not matter.
+            moved = f"entity.getPosition().clone().add(new pc.Vec3({way}))"
+            towards = moved if given.type == "directional" else place(target or (), origin)
+            lines += [f"entity.lookAt({towards});", "entity.rotateLocal(90, 0, 0);  // it shines along its -y"]
+        values: dict[str, str] = {"castShadows": "true", "shadowType": f"pc.SHADOW_{self.shadow_type}"}
+        values["shadowResolution"] = str(self.resolution[0])
+        if given.type == "directional":
+            values |= {"shadowDistance": number(self.shadow_distance), "numCascades": str(self.num_cascades)}
+            if self.num_cascades > 1:
+                values["cascadeDistribution"] = number(self.cascade_distribution)
+        else:
+            values["range"] = number(given.far)
+        if given.angle is not None:
+            values["outerConeAngle"] = f"{number(math.degrees(given.angle))};  // degrees"
+        values["shadowBias"] = f"{number(bias)};  // {amount}"
+        unit = "parts of the distance, times 1 - cos θ" if is_point else "world units"
+        values["normalOffsetBias"] = f"{number(float(self.normal_offset_bias))};  // {unit}"
+        if float(self.shadow_intensity) != 1:
+            values["shadowIntensity"] = number(float(self.shadow_intensity))
+        lines += [f"entity.light.{name} = {text}{'' if ';' in text else ';'}" for name, text in values.items()]
+        culls = {"front": "BACK", "back": "FRONT", "double": "NONE"}
+        if isinstance(self.side, tuple):
+            lines += [f"// material.cull of each mesh: {', '.join(f'pc.CULLFACE_{culls[one]}' for one in self.side)}"]
+        else:
+            lines += [f"material.cull = pc.CULLFACE_{culls[self.side]};"]
+        holds = "range" if given.type != "directional" else "shadowDistance and view camera"
+        return [
+            "// PlayCanvas 2.23, WebGL2.",
+            f"// Holds for this map size, {holds}: with others, fit it again.",
+            *lines,
+        ]
+
+    def visibility(self, state: EngineMap, surface: Surface) -> Visibility:
+        """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
+
+        What lies beyond the light's range, cone or `shadow_distance` is lit. Elsewhere, what lies outside of the map is
+        compared with its border. Faces turned away from the light are compared as all others.
+        """
+        return _visibility(self, state, surface)
+
+
+def camera_of(light: MatrixLight) -> CameraOfLight:
+    """The camera of a light that is given by its matrices."""
+    given, matrices = light.view(), (light.world_to_eye, light.eye_to_clip)
+    pose, projection = (np.asarray(each) for each in matrices)
+    return _camera(pose, projection, float(given.near), float(given.far))
+
+
+def _camera(
+    view: HostArray, projection: HostArray, near: float, far: float, place: HostArray | None = None
+) -> CameraOfLight:
+    to_clip = in_single(projection, view)
+    to_window = in_single(_WHOLE if place is None else place, to_clip)
+    return CameraOfLight(view, projection, near, far, to_clip, to_window)
+
+
+def _axes_of(direction: Any) -> Float[HostArray, "3 3"]:
+    """To the right, up and back of the node of a light's camera; the camera's view keeps them once more.
+
+    `lookAt` and `rotateLocal(90, 0, 0)` have turned the light, which shines along its -y.
+    """
+    right, up, back = _as_kept(upright_axes(plain(direction), 0.0))
+    right, back, down = _as_kept(np.stack([right, back, -up]))
+    return np.stack([right, -down, back])
+
+
+def _as_kept(axes: Float[HostArray, "3 3"]) -> Float[HostArray, "3 3"]:
+    """Axes as the engine keeps them: in single precision, then as a quaternion, whose rounding decides last bits."""
+    (a, b, c), (d, e, f), (g, h, i) = (row / np.linalg.norm(row) for row in axes.astype(np.float32).astype(np.float64))
+    if i < 0:
+        parts = (1 + a - e - i, b + d, g + c, f - h) if a > e else (b + d, 1 - a + e - i, f + h, g - c)
+    else:
+        parts = (g + c, f + h, 1 - a - e + i, b - d) if a < -e else (f - h, g - c, b - d, 1 + a + e + i)
+    x, y, z, w = np.array(parts) / np.linalg.norm(parts)
+    return np.array(
+        [
+            (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),
+            (2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)),
+            (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)),
+        ]
+    )
+
+
+class _Box(NamedTuple):
+    """A box about a mesh along the world's axes: its least and greatest coordinates."""
+
+    low: Float[HostArray, "3"]
+    high: Float[HostArray, "3"]
+
+    @classmethod
+    def about(cls, mesh: Mesh) -> "_Box":
+        vertices = np.asarray(mesh.vertices, np.float64)
+        return cls(vertices.min(axis=0), vertices.max(axis=0))
+
+    def meets(self, axes: Float[HostArray, "3 3"], centre: Float[HostArray, "3"], radius: float) -> bool:
+        """Whether it reaches into the square window about `centre`, which is in the light's `axes`."""
+        middle, half = (self.high + self.low) / 2 @ axes.T, (self.high - self.low) / 2 @ np.abs(axes).T
+        return bool((np.abs(middle - centre)[:2] < half[:2] + radius).all())
+
+
+def _behind(
+    centre: Float[HostArray, "3"], axes: Float[HostArray, "3 3"], boxes: Sequence[_Box]
+) -> tuple[HostArray, float]:
+    """Where the camera of a directional light is that sees one box about all `boxes`, and its far plane.
+
+    The engine measures from far behind the scene, in single precision. That rounding is part of its depth range.
+    """
+    eye = centre + _AWAY * axes[2]
+    if not boxes:
+        return eye, 2 * _AWAY
+    ends = np.stack([np.min([box.low for box in boxes], axis=0), np.max([box.high for box in boxes], axis=0)])
+    corners = np.stack(np.meshgrid(*ends.T.tolist()), axis=-1).reshape(8, 3)
+    depths = corners @ (view := inverse_pose(axes, eye)).astype(np.float64)[2, :3] + float(view[2, 3])
+    return eye + (depths.max() + _ROOM) * axes[2], float(depths.max() - depths.min() + 2 * _ROOM)
+
+
+@eqx.filter_jit
+def _visibility(settings: PlayCanvas, state: EngineMap, surface: Surface) -> Visibility:
+    _, receives = state.of_pixels(surface)
+    of = _in_cube if isinstance(state.light, PointLight) else _in_window
+    lit = of(settings, state, surface)
+    return jnp.where(receives, in_unit_range(1 + (lit - 1) * settings.shadow_intensity), 1)
+
+
+def _in_window(settings: PlayCanvas, state: EngineMap, surface: Surface) -> Float[Array, "h w"]:
+    light = state.light
+    assert isinstance(light, EngineCameras)
+    layer = light.layer(surface.position)
+    offset = rounded(settings.normal_offset_bias * normalize(surface.interpolated_normal))
+    position = surface.position + offset
+    view = light.view().facing(layer)
+    distance = view.distance(position)
+    per_texel = view.texel_size(distance, state.resolution) * view.depth_slope(distance)
+    at = light.window(position, layer)
+    if light.is_perspective:
+        ahead = at[..., 3] > 0
+        u, v, z = (jnp.where(ahead, at[..., k] / jnp.where(ahead, at[..., 3], 1), 0) for k in range(3))
+        is_shone_on = _in_cone(light, surface.position)
+    else:
+        u, v, z = at[..., 0], at[..., 1], jnp.clip(at[..., 2], 0, 1) - _HIDDEN_BIAS
+        is_shone_on = light.is_shadowed(surface.position)
+    compared = settings.compared(z, per_texel, is_strict=True)
+    depth = in_quarters(state.sloped(_SLOPES * settings.shadow_bias), QUARTERS, 1.0)
+    return jnp.where(is_shone_on, tent(depth, u, v, compared, _SIZES[settings.shadow_type]), 1)
+
+
+def _in_cone(light: EngineCameras, points: Float[Array, "h w 3"]) -> Array:
+    """Whether a spot light shines on `points` with more than a faint part of its strength."""
+    view = light.view()
+    distance = safe_norm(points - light.position)
+    outer = 1 / jnp.sqrt(1 + 1 / view.eye_to_clip[1, 1] ** 2)
+    inner = outer if light.inner_cosine is None else light.inner_cosine
+    from_edge = view.distance(points) / jnp.where(distance > 0, distance, 1) - outer
+    share = jnp.clip(from_edge / jnp.maximum(inner - outer, _NO_RIM), 0, 1)
+    return share * share * (3 - 2 * share) * jnp.maximum(1 - distance / view.far, 0) >= _FAINT
+
+
+def _in_cube(settings: PlayCanvas, state: EngineMap, surface: Surface) -> Float[Array, "h w"]:
+    light = state.light
+    assert isinstance(light, PointLight)
+    normal = normalize(surface.interpolated_normal)
+    towards = surface.position - light.position
+    distance = safe_norm(towards)
+    away = in_unit_range(1 + dot(normal, normalize(towards)))
+    moved = towards + normal * (settings.normal_offset_bias * away * distance)[..., None]
+    reached = safe_norm(moved)
+    z = reached / light.far - _PARTS * settings.shadow_bias
+    size = state.depth.shape[-1]
+    _, _, _, along = place_in_cube(moved)
+    compared = settings.compared(z, 2 * along / size / light.far, is_strict=True)
+    bordered = with_borders(state.depth)
+    if settings.shadow_type == "PCF1_32F":
+        lit = bilinear_in_cube(bordered, moved, compared)
+    else:
+        unit = moved / jnp.where(reached > 0, reached, 1)[..., None]
+        lit = mean_of(lambda tap: bilinear_in_cube(bordered, unit + tap / size, compared), _TETRAHEDRON, z.shape)
+    return jnp.where(distance < light.far * (1 - _FAINT), lit, 1)
