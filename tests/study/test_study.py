@@ -23,6 +23,7 @@ from diffshadow import fit, io, metrics, reference, study
 from diffshadow._arithmetic import as_array, as_float
 from diffshadow.cli import main
 from diffshadow.config import ConfigError, build_scene, build_technique, fit_paths, load_config, settings_file
+from diffshadow.settings.engines import ENGINES
 from diffshadow.shadow import Bias, Nearest, ShadowMapping, SoftCompare, ThreeJs, engine_code
 from diffshadow.study.runs import _convert, _engine
 from diffshadow.study.runs._engine import Lit
@@ -196,7 +197,7 @@ def test_a_bias_that_engines_lack_is_fitted_instead(what, monkeypatch):
 def test_fits_of_engines_start_within_their_bounds(kind):
     config = tiny(f"scene.light={kind}")
     lit = Lit(("scene", "light"), build_scene(config), 0.05, 0.01, 3.0)
-    for overrides in _convert._fits(config, [lit]).values():
+    for overrides in _convert._fits(config, [lit], list(ENGINES.values())).values():
         made = load_config("tiny.yaml", [f"scene.light={kind}", *overrides], fitting=True)
         for name, bounds in made.fit.parameters.items():
             assert bounds.lower <= made.initial(name) <= bounds.upper
