@@ -287,7 +287,7 @@ def test_learned_bias_is_measured_exported_and_drawn_again_from_its_configuratio
     assert found["rows"][0]["training"] >= 0
     assert found["rows"][2]["training"] <= found["rows"][1]["training"], "it starts there"
     glsl = (folder / "learned_bias.glsl").read_text()
-    assert all(f"float shadow_{name}(" in glsl for name in ("bias", "normal_offset", "visibility"))
+    assert all(f"float shadow_{name}(" in glsl for name in ("bias", "normal_offset", "filter"))
     # The configuration holds what was trained.
     again = build_technique(load_config(folder / "learned_bias.yaml"))
     problem = found["problems"][0]

@@ -59,7 +59,7 @@ def test_python_of_the_readme_runs_and_finds_the_sun_where_it_says(readme, capsy
     assert names["card"].textures is not None
     exec(training, names)
     assert names["found"].loss <= names["found"].initial_loss
-    assert "float shadow_visibility(" in capsys.readouterr().out
+    assert "float shadow(" in capsys.readouterr().out
 
 
 SMALL = (

@@ -111,8 +111,19 @@ def picture_of(name, light):
     return scene.light, picture, np.asarray(technique.visibility(state, surface)), np.asarray(surface.mask)
 
 
-@pytest.mark.parametrize("light", marked(EACH, {"directional", "point"}))
-@pytest.mark.parametrize("name", marked(TECHNIQUES, {*TECHNIQUES} - {"box, plane", "disk, early out"}))
+# A light changes constants only, so that four techniques are enough for the others.
+SOME = ("bilinear, fixed point", "box, plane", "disk, early out", "soft shadows")
+CASES = [
+    *((name, "spot") for name in TECHNIQUES),
+    *((name, light) for light in ("directional", "point") for name in SOME),
+]
+EVERYDAY = {("box, plane", "spot"), ("disk, early out", "spot")}
+
+
+@pytest.mark.parametrize(
+    ("name", "light"),
+    [pytest.param(*case, marks=[] if case in EVERYDAY else pytest.mark.exhaustive) for case in CASES],
+)
 def test_visibility_by_an_exported_shader_is_ours(chain, name, light):
     language, draw = chain
     of_light, picture, ours, mask = picture_of(name, light)
@@ -120,7 +131,7 @@ def test_visibility_by_an_exported_shader_is_ours(chain, name, light):
     differ = (np.abs(theirs - ours) > 1 / 255)[mask].mean()
     assert differ <= 1e-3
     penumbra = (ours > 0.01) & (ours < 0.99) & mask
-    assert penumbra.sum() > 200 or isinstance(TECHNIQUES[name].filter, Nearest)
+    assert penumbra.sum() > 100 or isinstance(TECHNIQUES[name].filter, Nearest)
     assert 0.03 < (ours == 0)[mask].mean() < 0.9
 
 

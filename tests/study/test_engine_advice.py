@@ -216,13 +216,12 @@ def values_of(code):
 
 LINES = {
     "godot": ["SHADOW_QUALITY_SOFT_HIGH", "directional_shadow_atlas_set_size(64, false)"],
-    "bevy": ["DirectionalLightShadowMap { size: 64 }", "ShadowFilteringMethod::Gaussian"],
     "filament": ["options.mapSize = 64;", "View::ShadowType::PCF"],
     "unity": ["LightShadows.Soft", "SoftShadowQuality.High", "asset: 64"],
 }
 
 
-@pytest.mark.parametrize("engine", marked(LINES, ("bevy", "filament")))
+@pytest.mark.parametrize("engine", marked(LINES, ("filament",)))
 def test_code_of_a_formula_has_the_engines_units(engine):
     """The bias and the offset that fits start at, in texels, and a radius of the engine's own."""
     (bias, offset), filters = HAS[engine]
@@ -234,7 +233,6 @@ def test_code_of_a_formula_has_the_engines_units(engine):
     expected = {
         # A radius of 3 texels is a blur of 1, and divides the bias by 3.
         "godot": {bias: 100 * shift / depth / 3, offset: rule.normal_offset, "shadow_blur": 1},
-        "bevy": {bias: shift, offset: rule.normal_offset / np.sqrt(2)},
         "filament": {bias: shift, offset: 2 * rule.normal_offset},
         "unity": {bias: rule.constant / 3.5, offset: rule.normal_offset / 3.5},
     }[engine]
