@@ -149,7 +149,7 @@ async function looking() {
     for (let i = 0; i < 5; i += 1) await page.keyboard.press("ArrowLeft");
     number = await all(number);
     found.lit = (await pixels(page)).mean;
-    await type(page, "bias.constant", 1.5);
+    await type(page, "bias.constant", 2.25);
     number = await all(number);
     await page.waitForTimeout(200);
     const count = (await shown(page)).length;

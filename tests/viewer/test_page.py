@@ -134,7 +134,7 @@ def test_spots_cascades_and_200_000_triangles_are_shown_and_freed(browser):
     with contextlib.ExitStack() as stack:
         pages = [stack.enter_context(diffshadow.view(parse_config(LARGER, each))) for each in SHOWN.values()]
         seen = driven(browser, "look", *(page.address for page in pages))
-        assert [page.values["bias.constant"] for page in pages] == [1.5, 1.5, 1.5]
+        assert [page.values["bias.constant"] for page in pages] == [2.25, 2.25, 2.25]
     assert threading.active_count() == before
     assert seen["lasting"] == ""
     for name, found in zip(SHOWN, seen["pages"], strict=True):
