@@ -38,6 +38,16 @@ SLANTED = (0.5, -1.0, -0.3)
 LAMP = (-1.2, 3.0, 0.9)
 """Where the spot light stands in these scenes."""
 
+BOX_OVER_PLANE = """
+scene:
+  meshes:
+    - {path: builtin:box, size: 0.6, drop_to_ground: true, translate: [0, 0.2, 0]}
+    - {path: builtin:plane, options: {size: 3}}
+  camera: {resolution: [64, 64], orbit: {distance: 4}}
+  light: {angular_radius: 1.5}
+shadow_map: {resolution: [64, 64]}"""
+"""The head of a configuration: a box over a plane under a sun of a size, with 64² pixels and texels."""
+
 
 def marked(cases: Iterable[Any], exhaustive: Collection[Any]) -> list[Any]:
     """The cases of a test, of which those in `exhaustive` are left to the exhaustive tests."""

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from rich.console import Console
-from scenes import staying_in
+from scenes import BOX_OVER_PLANE, staying_in
 
 from diffshadow import study
 from diffshadow.config import load_config, load_sweep
@@ -19,14 +19,9 @@ QUIET = Console(quiet=True)
 
 pytestmark = [pytest.mark.browser, pytest.mark.exhaustive]
 
-TINY = """
-scene:
-  meshes:
-    - {path: builtin:box, size: 0.6, drop_to_ground: true, translate: [0, 0.2, 0]}
-    - {path: builtin:plane, options: {size: 3}}
-  camera: {resolution: [64, 64], orbit: {distance: 4}}
-  light: {angular_radius: 1.5}
-shadow_map: {resolution: [64, 64]}
+TINY = (
+    BOX_OVER_PLANE
+    + """
 bias: {constant: 0.5, slope: 0}
 filter: {type: random_disk, samples: 4}
 reference: {samples: 4}
@@ -35,6 +30,7 @@ fit:
   solver: {max_steps: 4}
   anneal: {phases: 1}
 """
+)
 ENGINE = (
     "name=engine",
     "technique={type: three.js, shadow_side: double, bias: -0.001}",

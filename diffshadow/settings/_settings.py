@@ -150,6 +150,11 @@ class Setting:
         return next((mark.name for mark in self.marks if isinstance(mark, Unit)), "")
 
     @property
+    def is_fitted(self) -> bool:
+        """Whether fits may change it."""
+        return any(isinstance(mark, Fitted) for mark in self.marks)
+
+    @property
     def meaning(self) -> str:
         """What it does; empty if nothing says so."""
         return next((mark for mark in self.marks if isinstance(mark, str)), "")

@@ -49,7 +49,6 @@ from .engines import LightFrame as LightFrame
 from .engines import PlainBias as PlainBias
 from .engines import castano_radius as castano_radius
 from .engines import light_frame as light_frame
-from .engines import plain_bias as plain_bias
 from .engines import radius_settings as radius_settings
 from .filters import AbstractFilter
 from .filters._castano import Castano

@@ -36,23 +36,30 @@ vec2 shadow_extent(mat4 eye_to_clip, sampler2D map) {
     return vec2(2.0 / (eye_to_clip[0][0] * size.x), 2.0 / (eye_to_clip[1][1] * size.y));
 }
 
+// Where a point falls in the map, x and y in texels, and its window depth; w is 1 in front of the light and 0 behind it.
+vec4 shadow_project(sampler2D map, mat4 world_to_eye, mat4 eye_to_clip, vec3 position) {
+    vec4 clip = shadow_times(eye_to_clip, shadow_times(world_to_eye, vec4(position, 1.0)));
+    vec2 size = vec2(shadow_layer_size(map));
+    if (clip.w <= shadow_select(0.0, 0.001 * SHADOW_NEAR, SHADOW_PERSPECTIVE)) {
+        return vec4(1.5 * size.x, 1.5 * size.y, 1.5, 0.0);
+    }
+    vec3 window = shadow_window(clip);
+    return vec4(window.x * size.x, window.y * size.y, window.z, 1.0);
+}
+
 ShadowReceiver shadow_receiver(sampler2D map, int layer, mat4 world_to_eye, mat4 eye_to_clip, vec3 position, vec3 normal, vec3 to_light) {
     ShadowReceiver at;
     vec3 eye = shadow_times(world_to_eye, vec4(position, 1.0)).xyz;
-    vec4 clip = shadow_times(eye_to_clip, vec4(eye, 1.0));
     vec2 size = vec2(shadow_layer_size(map));
     float span = SHADOW_FAR - SHADOW_NEAR;
     float along = shadow_select(-eye.z, max(-eye.z, SHADOW_NEAR), SHADOW_PERSPECTIVE);
     at.position = position;
     at.normal = normal;
     at.cosine = dot(normal, to_light);
-    at.in_front = clip.w > shadow_select(0.0, 0.001 * SHADOW_NEAR, SHADOW_PERSPECTIVE);
-    vec3 window = vec3(1.5, 1.5, 1.5);
-    if (at.in_front) {
-        window = shadow_window(clip);
-    }
-    at.texel = window.xy * size;
-    at.depth = window.z;
+    vec4 place = shadow_project(map, world_to_eye, eye_to_clip, position);
+    at.texel = place.xy;
+    at.depth = place.z;
+    at.in_front = place.w > 0.0;
     vec2 extent = shadow_extent(eye_to_clip, map) * shadow_select(1.0, along, SHADOW_PERSPECTIVE);
     at.texel_size = sqrt(extent.x * extent.y);
     float depth_slope = shadow_select(1.0 / span, SHADOW_FAR * SHADOW_NEAR / (span * along * along), SHADOW_PERSPECTIVE);

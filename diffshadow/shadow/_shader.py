@@ -47,6 +47,11 @@ class ShaderBias(NamedTuple):
     deepest: str | None = None
 
 
+def constants_of(*each: tuple[str, Any, str]) -> tuple[Constant, ...]:
+    """Constants of a name, a value and what it is; those whose value is none are left out."""
+    return tuple(Constant(name, number(value), about) for name, value, about in each if value is not None)
+
+
 def number(value: Any) -> float:
     """A setting as a number."""
     return float(np.asarray(value))

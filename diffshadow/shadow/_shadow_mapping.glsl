@@ -19,13 +19,10 @@ float shadow(sampler2D map, mat4 world_to_eye, mat4 eye_to_clip, vec3 position, 
     bool in_front = at.in_front;
     if (SHADOW_HAS_NORMAL_OFFSET) {
         vec3 moved = position + normal * (shadow_normal_offset(at) * at.texel_size);
-        vec4 clip = shadow_times(eye_to_clip, shadow_times(world_to_eye, vec4(moved, 1.0)));
-        in_front = clip.w > shadow_select(0.0, 0.001 * SHADOW_NEAR, SHADOW_PERSPECTIVE);
-        if (in_front) {
-            vec3 window = shadow_window(clip);
-            to.texel = window.xy * vec2(shadow_layer_size(map));
-            to.depth = window.z;
-        }
+        vec4 place = shadow_project(map, world_to_eye, eye_to_clip, moved);
+        to.texel = place.xy;
+        to.depth = place.z;
+        in_front = place.w > 0.0;
     }
     // What lies behind the light or beyond the map's far plane is lit.
     if (!in_front || to.depth > 1.0) {

@@ -1,6 +1,7 @@
 """Techniques: algorithms that find which surfaces a light reaches."""
 
 import abc
+from collections.abc import Sequence
 from typing import Any, Protocol, runtime_checkable
 
 from .._checks import CheckedModule
@@ -54,9 +55,10 @@ class AbstractTechnique(CheckedModule):
         return of_casters("double", scene)
 
 
-def of_casters(side: Side, scene: Scene) -> tuple[Side | None, ...]:
-    """`side` for each mesh that casts, and none for the others."""
-    return tuple(side if casts else None for casts in scene.casts or (True,) * len(scene.meshes))
+def of_casters(side: Side | Sequence[Side], scene: Scene) -> tuple[Side | None, ...]:
+    """`side`, one for all meshes or one for each, for each mesh that casts, and none for the others."""
+    sides = [side] * len(scene.meshes) if isinstance(side, str) else side
+    return tuple(one if casts else None for one, casts in zip(sides, scene.casts or (True,) * len(sides), strict=True))
 
 
 @runtime_checkable

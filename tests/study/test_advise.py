@@ -10,7 +10,7 @@ import jax
 import numpy as np
 import pytest
 from rich.console import Console
-from scenes import staying_in
+from scenes import BOX_OVER_PLANE, staying_in
 from tables import cases, is_said
 
 from diffshadow import study
@@ -31,17 +31,13 @@ from diffshadow.study.runs._views import draw_views
 pytestmark = pytest.mark.usefixtures("tiny_figures")
 
 
-BASE = """
-scene:
-  meshes:
-    - {path: builtin:box, size: 0.6, drop_to_ground: true, translate: [0, 0.2, 0]}
-    - {path: builtin:plane, options: {size: 3}}
-  camera: {resolution: [64, 64], orbit: {distance: 4}}
-  light: {angular_radius: 1.5}
-shadow_map: {resolution: [64, 64]}
+BASE = (
+    BOX_OVER_PLANE
+    + """
 reference: {samples: 4}
 fit: {solver: {max_steps: 2}, anneal: {phases: 1}}
 """
+)
 ADVISE = """
 advise:
   biases:

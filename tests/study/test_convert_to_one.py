@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from rich.console import Console
-from scenes import staying_in
+from scenes import BOX_OVER_PLANE, staying_in
 
 from diffshadow import study
 from diffshadow.config import load_config
@@ -14,17 +14,13 @@ from diffshadow.settings.engines import ENGINES
 from diffshadow.study.runs._engine import lit_by, preset
 from diffshadow.study.runs._progress import Progress
 
-BASE = """
-scene:
-  meshes:
-    - {path: builtin:box, size: 0.6, drop_to_ground: true, translate: [0, 0.2, 0]}
-    - {path: builtin:plane, options: {size: 3}}
-  camera: {resolution: [64, 64], orbit: {distance: 4}}
-  light: {angular_radius: 1.5}
-shadow_map: {resolution: [64, 64]}
+BASE = (
+    BOX_OVER_PLANE
+    + """
 bias: {constant: 0.5, slope: 0, normal_offset: 1.5, normal_offset_profile: constant}
 filter: {type: random_disk, radius: 2}
 """
+)
 
 
 @pytest.fixture(autouse=True)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rich.console import Console
-from scenes import marked, staying_in
+from scenes import BOX_OVER_PLANE, marked, staying_in
 
 from diffshadow import study
 from diffshadow.config import ConfigError, load_config
@@ -27,18 +27,14 @@ from diffshadow.study.sweeps._pace import Pace, saying_how_long
 
 pytestmark = pytest.mark.usefixtures("tiny_figures")
 
-BASE = """
-scene:
-  meshes:
-    - {path: builtin:box, size: 0.6, drop_to_ground: true, translate: [0, 0.2, 0]}
-    - {path: builtin:plane, options: {size: 3}}
-  camera: {resolution: [64, 64], orbit: {distance: 4}}
-  light: {angular_radius: 1.5}
-shadow_map: {resolution: [64, 64]}
+BASE = (
+    BOX_OVER_PLANE
+    + """
 reference: {samples: 4}
 fit: {solver: {max_steps: 2}, anneal: {phases: 1}}
 advise: {resolutions: [[64, 64]]}
 """
+)
 QUIET = Console(quiet=True)
 POINT = "scene.light={type: point, position: [0.5, 3, 1], near: 0.5, far: 8, guard: 0.5}"
 SPOT = "scene.light={type: spot, position: [0.5, 3, 1]}"

@@ -17,7 +17,7 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 from rich.console import Console
-from scenes import compiled_programs, staying_in
+from scenes import BOX_OVER_PLANE, compiled_programs, staying_in
 from tables import cases, is_said
 
 from diffshadow import io, study
@@ -35,18 +35,14 @@ from diffshadow.study.sweeps._work import drawing_of
 pytestmark = pytest.mark.usefixtures("tiny_figures")
 
 
-BASE = """
-scene:
-  meshes:
-    - {path: builtin:box, size: 0.6, drop_to_ground: true, translate: [0, 0.2, 0]}
-    - {path: builtin:plane, options: {size: 3}}
-  camera: {resolution: [64, 64], orbit: {distance: 4}}
-  light: {angular_radius: 1.5}
-shadow_map: {resolution: [64, 64]}
+BASE = (
+    BOX_OVER_PLANE
+    + """
 filter: {samples: 4}
 reference: {samples: 4}
 output: runs
 """
+)
 SWEEP = """
 sweep:
   grid:

@@ -9,7 +9,7 @@ from ..._arithmetic import as_number, at_most
 from ..._types import AsOptional, AsScalar
 from ...settings.biases import ReceiverPlane as Settings
 from .._receiver import Receiver
-from .._shader import Constant, ShaderBias, ShaderPart, number
+from .._shader import ShaderBias, ShaderPart, constants_of
 from ._abstract import AbstractBias, BiasTerms, in_depth, shader_of_length
 
 
@@ -47,12 +47,10 @@ class ReceiverPlane(AbstractBias):
         )
 
     def shader(self, prefix: str = "") -> ShaderBias:
-        given = {"FUDGE": self.fudge, "FUDGE_LIMIT": self.limit, "DEEPENING": self.deepening}
-        about = "of the fractional sampling error", "its most, in texels", "of the receiver's plane at a tap, in texels"
-        constants = tuple(
-            Constant(prefix + name, number(value), meaning)
-            for (name, value), meaning in zip(given.items(), about, strict=True)
-            if value is not None
+        constants = constants_of(
+            (f"{prefix}FUDGE", self.fudge, "factor of the fractional sampling error"),
+            (f"{prefix}FUDGE_LIMIT", self.limit, "its most, in texels"),
+            (f"{prefix}DEEPENING", self.deepening, "of the receiver's plane at a tap, in texels"),
         )
         fudge = f"SHADOW_{prefix}FUDGE * (abs(at.slope.x) + abs(at.slope.y))"
         fudge = fudge if self.limit is None else f"min({fudge}, SHADOW_{prefix}FUDGE_LIMIT)"

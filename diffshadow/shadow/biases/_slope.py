@@ -9,7 +9,7 @@ from ..._types import AsOptional, AsScalar
 from ...settings.biases import Bias as Settings
 from ...settings.biases import BiasUnit, SlopeProfile
 from .._receiver import Receiver
-from .._shader import Constant, ShaderBias, ShaderPart, number
+from .._shader import ShaderBias, ShaderPart, constants_of
 from ._abstract import AbstractBias, BiasTerms, in_depth, shader_of_length
 from ._features import FEATURES, Feature
 
@@ -50,12 +50,10 @@ class SlopeBias(AbstractBias):
 
     def shader(self, prefix: str = "") -> ShaderBias:
         unit = "texels" if self.unit == "texels" else "window depth"
-        given = {"SLOPE_BIAS": self.value, "LEAST_SLOPE_BIAS": self.least, "MOST_SLOPE_BIAS": self.most}
-        about = f"times the profile {self.profile}, in {unit}", f"its least, in {unit}", f"its most, in {unit}"
-        constants = tuple(
-            Constant(prefix + name, number(value), meaning)
-            for (name, value), meaning in zip(given.items(), about, strict=True)
-            if value is not None
+        constants = constants_of(
+            (f"{prefix}SLOPE_BIAS", self.value, f"times the profile {self.profile}, in {unit}"),
+            (f"{prefix}LEAST_SLOPE_BIAS", self.least, f"its least, in {unit}"),
+            (f"{prefix}MOST_SLOPE_BIAS", self.most, f"its most, in {unit}"),
         )
         length = f"SHADOW_{prefix}SLOPE_BIAS * ({self._feature.shader})"
         if self.least is not None:

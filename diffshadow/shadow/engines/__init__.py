@@ -14,7 +14,6 @@ from ._convert import light_frame as light_frame
 from ._engine_map import EngineMap as EngineMap
 from ._godot import GodotCompatibility as GodotCompatibility
 from ._light import EngineLight as EngineLight
-from ._plain import plain_bias as plain_bias
 from ._playcanvas import PlayCanvas as PlayCanvas
 from ._radius import GODOT_QUALITIES as GODOT_QUALITIES
 from ._radius import radius_settings as radius_settings

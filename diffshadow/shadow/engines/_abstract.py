@@ -26,7 +26,7 @@ from ...settings import maps
 from ...settings.engines import Engine, Side
 from .._compare import AbstractCompare, HardCompare
 from .._technique import AbstractTechnique
-from ._cameras import EngineCameras
+from ._cameras import EngineCameras, quarter_of
 from ._convert import LightFrame, PlainBias, light_frame
 from ._engine_map import Casters, EngineMap, map_of, per_face
 from ._light import EngineLight
@@ -189,7 +189,9 @@ class AbstractEngineShadows(AbstractTechnique):
 
         **Raises** what `light_frame` and `cameras_of` raise.
         """
-        return light_frame(self.cameras_of(scene), self.resolution, distance)
+        light = self.cameras_of(scene)
+        count = light.count if isinstance(light, EngineCameras) and not self.has_layers else 1
+        return light_frame(light, quarter_of(self.resolution, count), distance)
 
     def bounds(self, lights: Sequence[tuple[LightFrame, float]]) -> dict[str, tuple[float, float, float]]:
         """For each number that a fit of the engine's shadows fits: where it starts, its lower and its upper bound.

@@ -18,6 +18,7 @@ from ...settings import maps
 from ...settings.engines import BabylonFilter, BabylonQuality, Side
 from ...settings.engines import BabylonJs as Settings
 from .._compare import AbstractCompare, HardCompare
+from .._technique import of_casters
 from ._abstract import AbstractEngineShadows, Place
 from ._axes import engine_light
 from ._babylon_filters import exponentially, falloff, random_turn
@@ -166,10 +167,7 @@ class BabylonJs(AbstractEngineShadows):
     def casting_sides(self, scene: Scene) -> tuple[Side | None, ...]:
         shown: Side = "back" if self.force_back_faces_only else "front"
         culling = each_of(self.back_face_culling, scene.meshes, "back_face_culling")
-        casts = scene.casts or (True,) * len(culling)
-        return tuple(
-            (shown if is_culled else "double") if does else None for is_culled, does in zip(culling, casts, strict=True)
-        )
+        return of_casters([shown if is_culled else "double" for is_culled in culling], scene)
 
     def plain(self, frame: LightFrame, distance: float) -> PlainBias:
         offset = float(self.normal_bias) / frame.texel

@@ -20,6 +20,7 @@ from ...settings import maps
 from ...settings.engines import Bevy as Settings
 from ...settings.engines import BevyFilter, Side, Sides
 from .._compare import AbstractCompare, HardCompare
+from .._technique import of_casters
 from ._abstract import AbstractEngineShadows
 from ._axes import refused_light, upright_axes
 from ._cameras import (
@@ -126,9 +127,7 @@ class Bevy(AbstractEngineShadows):
         return dataclasses.replace(state, unit="reversed")
 
     def casting_sides(self, scene: Scene) -> tuple[Side | None, ...]:
-        side = each_of(self.side, scene.meshes, "side")
-        casts = scene.casts or (True,) * len(side)
-        return tuple(one if does else None for one, does in zip(side, casts, strict=True))
+        return of_casters(each_of(self.side, scene.meshes, "side"), scene)
 
     def cameras_of(self, scene: Scene) -> EngineCameras:
         """The light of `scene` with the engine's cameras.

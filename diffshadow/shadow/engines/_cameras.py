@@ -10,7 +10,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from ..._arithmetic import as_float
-from ..._types import HostArray, Scalar
+from ..._types import HostArray, Resolution, Scalar
 from ...geometry import AbstractCamera, AbstractLight, View
 from ._textures import rounded
 
@@ -146,9 +146,9 @@ def in_order(matrix: Float[Array, "*m 4 4"], points: Float[Array, "*n 3"]) -> Fl
 
 
 def frustum_corners(camera: AbstractCamera, near: float, far: float) -> Float[HostArray, "8 3"]:
-    """The corners of what `camera` sees between two depths, world space; those of the near end first.
+    """The corners of what `camera` sees between two depths, world space; the near end first.
 
-    Each end begins right and below, and goes round anticlockwise.
+    Each end starts at its lower right corner and goes anticlockwise.
     """
     view = camera.view()
     clip = np.asarray(view.eye_to_clip, np.float64)
@@ -216,7 +216,7 @@ def viewport(x: float, y: float, size: float) -> Float[HostArray, "4 4"]:
 
 
 def in_single(*matrices: HostArray) -> Float[HostArray, "4 4"]:
-    """The product of `matrices`, of which each, and each product from the right on, is stored in single precision."""
+    """The product of `matrices`, taken from the right. Each matrix and each product is rounded to single precision."""
     product = np.asarray(matrices[-1], np.float32)
     for matrix in matrices[-2::-1]:
         product = (np.asarray(matrix, np.float32).astype(np.float64) @ product.astype(np.float64)).astype(np.float32)
@@ -230,6 +230,12 @@ Places = tuple[tuple[float, float], ...]
 
 QUARTERS: Places = ((0.0, 0.0), (0.0, 0.5), (0.5, 0.0), (0.5, 0.5))
 """Of PlayCanvas."""
+
+
+def quarter_of(resolution: Resolution, count: int) -> Resolution:
+    """(height, width) in texels of each of `count` maps in a texture of this `resolution`: one map fills all of it."""
+    height, width = resolution
+    return resolution if count == 1 else (height // 2, width // 2)
 
 
 def in_quarters(layers: Float[Array, "*k h w"], places: Places, empty: float) -> Float[Array, "H W"]:

@@ -19,6 +19,7 @@ from ...settings import maps
 from ...settings.engines import GodotCompatibility as Settings
 from ...settings.engines import GodotMode, GodotQuality, Side, Sides
 from .._compare import AbstractCompare, HardCompare
+from .._technique import of_casters
 from ._abstract import AbstractEngineShadows
 from ._axes import refused_light, upright_axes
 from ._cameras import (
@@ -31,12 +32,13 @@ from ._cameras import (
     inverse_pose,
     of_quarters,
     parallel_projection,
+    quarter_of,
     reversed_depth,
     sphere_from_mean,
     viewport,
 )
 from ._code import about, number, place
-from ._convert import LightFrame, PlainBias, light_frame
+from ._convert import LightFrame, PlainBias
 from ._engine_map import Casters, Corners, EngineMap, distance_map_of, each_of, reversed_map_of
 from ._given import fitted_directional_light, godot_omni_light, godot_spot_light
 from ._light import EngineLight, plain
@@ -127,7 +129,8 @@ class GodotCompatibility(AbstractEngineShadows):
         if isinstance(light, PointLight):
             return self._state(distance_map_of(casters, light, self.resolution, self.subpixels), scene, light)
         clip = _pushed(light, casters, self.shadow_bias)
-        depth = reversed_map_of(casters, clip, self._size, self.subpixels, light.is_directional)
+        size = quarter_of(self.resolution, light.count)
+        depth = reversed_map_of(casters, clip, size, self.subpixels, light.is_directional)
         return self._state(depth, scene, light)
 
     def from_map(self, stored: Any, scene: Scene) -> EngineMap:
@@ -152,16 +155,8 @@ class GodotCompatibility(AbstractEngineShadows):
     def _count(self) -> int:
         return 4 if self.directional_shadow_mode == "SHADOW_PARALLEL_4_SPLITS" else 1
 
-    @property
-    def _size(self) -> Resolution:
-        """(height, width) in texels of each split."""
-        height, width = self.resolution
-        return self.resolution if self._count == 1 else (height // 2, width // 2)
-
     def casting_sides(self, scene: Scene) -> tuple[Side | None, ...]:
-        side = each_of(self.side, scene.meshes, "side")
-        casts = scene.casts or (True,) * len(side)
-        return tuple(one if does else None for one, does in zip(side, casts, strict=True))
+        return of_casters(each_of(self.side, scene.meshes, "side"), scene)
 
     def cameras_of(self, scene: Scene) -> EngineCameras | PointLight:
         """The light of `scene` with the engine's cameras.
@@ -195,7 +190,7 @@ class GodotCompatibility(AbstractEngineShadows):
         near, end = float(scene.camera.near), self._end(scene)
         shares = _SPLITS if self._count == 4 else (1.0,)
         ends = [near + share * (end - near) for share in shares]
-        size, cameras = self._size[0], []
+        size, cameras = quarter_of(self.resolution, self._count)[0], []
         for index, (begin, depth) in enumerate(zip([near, *ends], ends, strict=False)):
             centre, radius = sphere_from_mean(frustum_corners(scene.camera, begin, depth))
             radius *= size / (size - 2)
@@ -208,10 +203,6 @@ class GodotCompatibility(AbstractEngineShadows):
             projection = parallel_projection(radius, 0.0, far)
             cameras.append(_camera(inverse_pose(axes, at @ axes), projection, 0.0, far, part))
         return EngineCameras.of(cameras, False, scene.camera, ends)
-
-    def frame(self, scene: Scene, distance: float) -> LightFrame:
-        light = self.cameras_of(scene)
-        return light_frame(light, self._size if light.is_directional else self.resolution, distance)
 
     def _from_camera(self, frame: LightFrame, distance: float) -> float:
         """How far receivers at a `distance` are from the light's camera; a directional light's is behind the scene."""

@@ -29,6 +29,7 @@ from ...settings import maps
 from ...settings.engines import PlayCanvas as Settings
 from ...settings.engines import PlayCanvasShadow, Side, Sides
 from .._compare import AbstractCompare, HardCompare
+from .._technique import of_casters
 from ._abstract import AbstractEngineShadows
 from ._axes import refused_light, upright_axes
 from ._cameras import (
@@ -42,12 +43,13 @@ from ._cameras import (
     inverse_pose,
     of_quarters,
     parallel_projection,
+    quarter_of,
     sphere_from_mean,
     split_depths,
     viewport,
 )
 from ._code import about, number, place
-from ._convert import LightFrame, PlainBias, light_frame
+from ._convert import LightFrame, PlainBias
 from ._engine_map import EngineMap, distance_map_of, each_of, sloped_map_of
 from ._given import fitted_directional_light, playcanvas_omni_light, playcanvas_spot_light
 from ._light import EngineLight, plain
@@ -134,9 +136,8 @@ class PlayCanvas(AbstractEngineShadows):
             depth = distance_map_of(casters, light, self.resolution, self.subpixels)
             return self._state(jnp.where(depth < 1, jnp.minimum(depth, _FARTHEST), 1), scene, light)
         factor = _SLOPES * self.shadow_bias
-        drawn = sloped_map_of(
-            casters, light.clip(casters.vertices), self._size_of(light), self.subpixels, factor, factor
-        )
+        size = quarter_of(self.resolution, light.count)
+        drawn = sloped_map_of(casters, light.clip(casters.vertices), size, self.subpixels, factor, factor)
         return dataclasses.replace(self._state(drawn.depth, scene, light), slope=drawn.slope, drawn_with=factor)
 
     def from_map(self, stored: Any, scene: Scene) -> EngineMap:
@@ -156,15 +157,8 @@ class PlayCanvas(AbstractEngineShadows):
         state = self.with_depth(depth, scene, light, [1.0] * len(scene.meshes))
         return dataclasses.replace(state, unit="distance" if isinstance(light, PointLight) else "window")
 
-    def _size_of(self, light: EngineCameras) -> Resolution:
-        """(height, width) in texels of each cascade."""
-        height, width = self.resolution
-        return self.resolution if light.count == 1 else (height // 2, width // 2)
-
     def casting_sides(self, scene: Scene) -> tuple[Side | None, ...]:
-        side = each_of(self.side, scene.meshes, "side")
-        casts = scene.casts or (True,) * len(side)
-        return tuple(one if does else None for one, does in zip(side, casts, strict=True))
+        return of_casters(each_of(self.side, scene.meshes, "side"), scene)
 
     def cameras_of(self, scene: Scene) -> EngineCameras | PointLight:
         """The light of `scene` with the engine's cameras.
@@ -217,13 +211,6 @@ class PlayCanvas(AbstractEngineShadows):
             view, projection = inverse_pose(_as_kept(axes), eye), parallel_projection(radius, _FIRST, far)
             cameras.append(_camera(view, projection, _FIRST, far, place))
         return EngineCameras.of(cameras, False, scene.camera, ends)
-
-    def frame(self, scene: Scene, distance: float) -> LightFrame:
-        return light_frame(self.cameras_of(scene), self._size_of_first, distance)
-
-    @property
-    def _size_of_first(self) -> Resolution:
-        return self.resolution if self.num_cascades == 1 else (self.resolution[0] // 2, self.resolution[0] // 2)
 
     def plain(self, frame: LightFrame, distance: float) -> PlainBias:
         """Without the polygon offset, which no other engine lets one set."""

@@ -26,16 +26,15 @@ vec2 shadow_blocker(sampler2D map, ShadowLookup at, ivec2 texel, float weight) {
 }
 
 float shadow_filter(sampler2D map, ShadowLookup at) {
-    ivec2 pixel = ivec2(at.pixel);
     float turn = 6.28318531 * shadow_noise(at.pixel);
     float receiver = shadow_distance(at.depth);
     vec2 search = min(shadow_penumbra(at, receiver, SHADOW_NEAR), vec2(SHADOW_MAX_RADIUS, SHADOW_MAX_RADIUS));
     float angle = shadow_select(0.0, turn, SHADOW_SEARCH_ROTATED);
-    int size = SHADOW_SEARCH_PATTERN_SIZE;
-    int place = pixel.y % size * size + pixel.x % size;
+    int tile = SHADOW_SEARCH_PATTERN_SIZE * SHADOW_SEARCH_PATTERN_SIZE;
+    int pixel = shadow_tile_pixel(at.pixel, SHADOW_SEARCH_PATTERN_SIZE);
     vec2 blockers = vec2(0.0, 0.0);
     for (int i = 0; i < SHADOW_SEARCH_SAMPLES; i++) {
-        int index = 2 * (i * size * size + place);
+        int index = 2 * (i * tile + pixel);
         vec2 offset = shadow_turned(vec2(SHADOW_SEARCH_PATTERN[index], SHADOW_SEARCH_PATTERN[index + 1]), angle);
         vec2 texel = at.texel + search * offset - vec2(0.5, 0.5);
         vec2 corner = floor(texel);
@@ -53,11 +52,11 @@ float shadow_filter(sampler2D map, ShadowLookup at) {
     vec2 width = shadow_penumbra(at, receiver, shadow_distance(blockers.y / blockers.x));
     vec2 radius = vec2(clamp(width.x, SHADOW_MIN_RADIUS, SHADOW_MAX_RADIUS), clamp(width.y, SHADOW_MIN_RADIUS, SHADOW_MAX_RADIUS));
     angle = shadow_select(0.0, turn, SHADOW_ROTATED);
-    size = SHADOW_PATTERN_SIZE;
-    place = pixel.y % size * size + pixel.x % size;
+    tile = SHADOW_PATTERN_SIZE * SHADOW_PATTERN_SIZE;
+    pixel = shadow_tile_pixel(at.pixel, SHADOW_PATTERN_SIZE);
     float lit = 0.0;
     for (int i = 0; i < SHADOW_SAMPLES; i++) {
-        int index = 2 * (i * size * size + place);
+        int index = 2 * (i * tile + pixel);
         vec2 offset = shadow_turned(vec2(SHADOW_PATTERN[index], SHADOW_PATTERN[index + 1]), angle);
         lit += shadow_bilinear_tap(map, at, at.texel + radius * offset);
     }

@@ -1,12 +1,11 @@
 // The mean of compares at some points of the pattern, scaled to the disk: from the first, and before the last one.
 float shadow_mean_of_taps(sampler2D map, ShadowLookup at, int first, int last) {
-    int size = SHADOW_PATTERN_SIZE;
-    ivec2 pixel = ivec2(at.pixel);
-    int place = pixel.y % size * size + pixel.x % size;
+    int tile = SHADOW_PATTERN_SIZE * SHADOW_PATTERN_SIZE;
+    int pixel = shadow_tile_pixel(at.pixel, SHADOW_PATTERN_SIZE);
     float angle = shadow_select(0.0, 6.28318531 * shadow_noise(at.pixel), SHADOW_ROTATED);
     float lit = 0.0;
     for (int i = first; i < last; i++) {
-        int index = 2 * (i * size * size + place);
+        int index = 2 * (i * tile + pixel);
         vec2 offset = shadow_turned(vec2(SHADOW_PATTERN[index], SHADOW_PATTERN[index + 1]), angle);
         vec2 texel = at.texel + vec2(SHADOW_RADIUS * offset.x, SHADOW_RADIUS * offset.y);
         if (SHADOW_BILINEAR) {

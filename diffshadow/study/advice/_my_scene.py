@@ -10,7 +10,7 @@ from jaxtyping import Float32
 from ... import io, shadow
 from ..._types import HostArray
 from ...config import Config
-from ...settings import MISSING, Fitted
+from ...settings import MISSING
 from ..pages._page import Picture, picture
 from ..runs._measure import measured
 from ..runs._setup import visibility_of
@@ -47,13 +47,9 @@ def _with_defaults(technique: shadow.AbstractEngineShadows) -> shadow.AbstractEn
     changed: dict[str, Any] = {
         key: each.default
         for key, each in settings.each().items()
-        if each.default is not MISSING and (key == settings.filter_key or _is_fitted(each.marks))
+        if each.default is not MISSING and (key == settings.filter_key or each.is_fitted)
     }
     return dataclasses.replace(technique, **changed)
-
-
-def _is_fitted(marks: Any) -> bool:
-    return any(isinstance(mark, Fitted) for mark in marks)
 
 
 def scene_pictures(folder: Path) -> list[Picture]:

@@ -12,6 +12,7 @@ from rich.text import Text
 from ... import geometry, io, shadow
 from ...config import Config, ConfigError, Mistake, build_scene, build_technique, printable
 from ...settings.techniques import ShaderLanguage
+from ..pages._page import write_page
 
 README, SCENE, MATRICES = "README.md", "scene.glb", "light.json"
 
@@ -26,10 +27,33 @@ _CULLED = {
     "back": ("`glCullFace(GL_BACK)`", '`cullMode: "back"`', "`D3D11_CULL_BACK`"),
     "front": ("`glCullFace(GL_FRONT)`", '`cullMode: "front"`', "`D3D11_CULL_FRONT`"),
 }
+_LAYERS = {
+    "second": "Store the second depth from the light, not the nearest: draw twice, and leave out in the second pass "
+    "what is at the first pass's depth or in front of it.",
+    "midpoint": "Store the mean of the nearest and the second depth from the light: draw both, and average them.",
+}
 _LANGUAGES = {
-    "glsl": ("GLSL", "version 3.30, or ES 3.00 with `precision highp float; precision highp sampler2D;` above it"),
-    "wgsl": ("WGSL", "WebGPU"),
-    "hlsl": ("HLSL", "shader model 5"),
+    "glsl": "GLSL (version 3.30, or ES 3.00 with `precision highp float; precision highp sampler2D;` above it)",
+    "wgsl": "WGSL (WebGPU)",
+    "hlsl": "HLSL (shader model 5)",
+}
+_CALL = "shadow(map, world_to_eye, eye_to_clip, position, normal, to_light, pixel, 0);"
+_CALLS = {
+    "glsl": (
+        "vec3 normal = normalize(cross(dFdx(position), dFdy(position)));",
+        "vec2 pixel = floor(gl_FragCoord.xy);",
+        f"float lit = {_CALL}",
+    ),
+    "wgsl": (
+        "let normal = normalize(cross(dpdy(position), dpdx(position)));",
+        "let pixel = vec2f(floor(at.x), height - 1 - floor(at.y));  // at is @builtin(position)",
+        f"let lit = {_CALL}",
+    ),
+    "hlsl": (
+        "float3 normal = normalize(cross(ddy(position), ddx(position)));",
+        "float2 pixel = float2(floor(at.x), height - 1 - floor(at.y));  // at is SV_Position",
+        f"float lit = {_CALL}",
+    ),
 }
 
 
@@ -58,12 +82,25 @@ def export_shader(
     assert isinstance(technique, shadow.ShadowMapping)
     folder.mkdir(parents=True, exist_ok=True)
     title = f"{config.name}: {origin}" if origin else config.name
-    page = _page(title, technique, scene, list(shaders), language)
     matrices = {name: _matrices(light) for name, (light, _) in shaders.items()}
     texts = {name: f"// {title}\n{text}" for name, (_, text) in shaders.items()}
-    for name, text in {**texts, README: page, MATRICES: json.dumps(matrices, indent=2) + "\n"}.items():
+    for name, text in {**texts, MATRICES: json.dumps(matrices, indent=2) + "\n"}.items():
         with io.atomic_path(folder / name) as temporary:
             temporary.write_text(text, encoding="utf-8")
+    write_page(
+        folder / README,
+        "export.md.j2",
+        title=title,
+        language=_LANGUAGES[language],
+        suffix=language,
+        call=_CALLS[language],
+        rows=_rows(technique.map, scene),
+        layer=_LAYERS.get(technique.map.depth_layer),
+        ways={name: _way_of(light) for name, (light, _) in shaders.items()},
+        origin=", ".join(f"{float(x):.9g}" for x in scene.origin) if np.any(scene.origin) else "",
+        matrices=MATRICES,
+        scene=SCENE,
+    )
     io.write_gltf(folder / SCENE, scene)
     console.print(Text(printable(f"{', '.join([*shaders, MATRICES, README, SCENE])} in")), soft_wrap=True)
     return folder
@@ -83,27 +120,20 @@ def _matrices(light: geometry.AbstractLight) -> dict[str, list[Any]]:
     return {name: matrix.tolist() for name, matrix in each.items()}
 
 
-def _page(
-    title: str, technique: shadow.ShadowMapping, scene: geometry.Scene, files: list[str], language: ShaderLanguage
-) -> str:
-    origin = ""
-    if np.any(scene.origin):
-        origin = f", less the scene's origin ({', '.join(f'{float(x):.9g}' for x in scene.origin)})"
-    settings = technique.map
+def _rows(settings: shadow.MapSettings, scene: geometry.Scene) -> dict[str, tuple[str, ...]]:
+    """What a renderer sets for the map: in OpenGL, in WebGPU and in Direct3D 11."""
     height, width = settings.resolution
-    factor_units = settings.polygon_offset
-    offset = (
-        ("none", "none", "none")
-        if factor_units is None
-        else (
-            f"`glPolygonOffset({factor_units[0]:g}, {factor_units[1]:g})`",
-            f"`depthBiasSlopeScale: {factor_units[0]:g}, depthBias: {factor_units[1]:g}`",
-            f"`SlopeScaledDepthBias = {factor_units[0]:g}, DepthBias = {factor_units[1]:g}`",
-        )
-    )
     is_cube = [isinstance(light, geometry.PointLight) for light in scene.lights]
     sizes = f"{width} x {height}" + (f"; {width} x {6 * height} for a point light" if any(is_cube) else "")
-    rows = {
+    offset = ("none",) * 3
+    if settings.polygon_offset is not None:
+        factor, units = settings.polygon_offset
+        offset = (
+            f"`glPolygonOffset({factor:g}, {units:g})`",
+            f"`depthBiasSlopeScale: {factor:g}, depthBias: {units:g}`",
+            f"`SlopeScaledDepthBias = {factor:g}, DepthBias = {units:g}`",
+        )
+    return {
         "format": _FORMATS[settings.depth_format],
         "size in texels": (sizes,) * 3,
         "cleared to": ("1.0",) * 3,
@@ -118,54 +148,6 @@ def _page(
             "`Texture2D<float>`, a view of the format `R32_FLOAT`, `R24_UNORM_X8_TYPELESS` or `R16_UNORM`",
         ),
     }
-    name, version = _LANGUAGES[language]
-    table = [
-        "| the shadow map | OpenGL | WebGPU | Direct3D 11 |",
-        "|---|---|---|---|",
-        *(f"| {what} | {' | '.join(each)} |" for what, each in rows.items()),
-    ]
-    layer = {
-        "second": "Store the second depth from the light, not the nearest: draw twice, and leave out in the second "
-        "pass what is at the first pass's depth or in front of it.",
-        "midpoint": "Store the mean of the nearest and the second depth from the light: draw both, and average them.",
-    }.get(settings.depth_layer)
-    ways = {file: _way_of(light) for file, light in zip(files, scene.lights, strict=True)}
-    return "\n".join(
-        [
-            f"# {title}",
-            "",
-            f"`{files[0]}` holds a function `shadow` in {name} ({version}). It returns the visibility of the "
-            "light at a point: 1 lit, 0 shadowed. Multiply the light's diffuse and specular terms by it.",
-            "",
-            "1. Draw the casters into the map, as the table says, with the matrices of "
-            f"`{MATRICES}`: `clip = eye_to_clip * world_to_eye * position`. Meshes of `{SCENE}` whose `extras` have "
-            "`casts: false` stay out of it.",
-            "2. Paste the shader into the fragment shader that shades surfaces.",
-            "3. Call it there:",
-            "",
-            *_call(language),
-            "",
-            *table,
-            "",
-            *([layer, ""] if layer else []),
-            "## Arguments",
-            "",
-            "- `map`: the shadow map.",
-            "- `world_to_eye`, `eye_to_clip`: the matrices that the map was drawn with, in the clip space of your API. "
-            "If the light moves, its matrices move; `SHADOW_NEAR` and `SHADOW_FAR` are the projection's own distances.",
-            f"- `position`: the point, in world units{origin}.",
-            "- `normal`: the unit normal of its triangle, turned to the camera. An interpolated normal gives another "
-            "bias.",
-            *(f"- `to_light`, in `{file}`: {way}." for file, way in ways.items()),
-            "- `pixel`: whole numbers, counted from the picture's lower left pixel. Only disks of points use it.",
-            "- `layer`: 0. Of a point light, `shadow_layer(position - light)`, for which `world_to_eye` holds six "
-            "matrices: its six faces lie in one texture, one above the other, the first at the lower end.",
-            "",
-            "Numbers at the top of the shader are the technique's settings. Biases and radii in texels hold for a map "
-            "of another size, too.",
-            "",
-        ]
-    )
 
 
 def _way_of(light: geometry.AbstractLight) -> str:
@@ -175,24 +157,3 @@ def _way_of(light: geometry.AbstractLight) -> str:
         return f"the unit vector ({known(towards / np.linalg.norm(towards))})"
     to_eye = np.asarray(light.view().world_to_eye, np.float64).reshape(-1, 4, 4)[0]
     return f"`normalize(light - position)`, where the light is at ({known(np.linalg.inv(to_eye)[:3, 3])})"
-
-
-def _call(language: ShaderLanguage) -> list[str]:
-    lines = {
-        "glsl": [
-            "vec3 normal = normalize(cross(dFdx(position), dFdy(position)));",
-            "vec2 pixel = floor(gl_FragCoord.xy);",
-            "float lit = shadow(map, world_to_eye, eye_to_clip, position, normal, to_light, pixel, 0);",
-        ],
-        "wgsl": [
-            "let normal = normalize(cross(dpdy(position), dpdx(position)));",
-            "let pixel = vec2f(floor(at.x), height - 1 - floor(at.y));  // at is @builtin(position)",
-            "let lit = shadow(map, world_to_eye, eye_to_clip, position, normal, to_light, pixel, 0);",
-        ],
-        "hlsl": [
-            "float3 normal = normalize(cross(ddy(position), ddx(position)));",
-            "float2 pixel = float2(floor(at.x), height - 1 - floor(at.y));  // at is SV_Position",
-            "float lit = shadow(map, world_to_eye, eye_to_clip, position, normal, to_light, pixel, 0);",
-        ],
-    }
-    return [f"```{language}", *lines[language], "```"]

@@ -104,13 +104,13 @@ def _shown(value: Any) -> Any:
 
 
 def write_page(path: Path, template: str, **values: Any) -> None:
-    """Renders `template` with `values`, and writes the page to `path` atomically.
+    """Renders `template` with `values`, and writes the page to `path` atomically. A page in Markdown has no escapes.
 
     **Raises** `FileError` if it cannot be written.
     """
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("diffshadow", "study/pages/templates"),
-        autoescape=True,
+        autoescape=lambda name: not str(name).endswith(".md.j2"),
         finalize=_shown,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,

@@ -12,8 +12,8 @@ from ..._types import HostArray, VectorMap
 from ...config import Config, ConfigError, DirectionalLightConfig, Mistake, build_technique
 from ...geometry import WORLD, AbstractLight, DirectionalLight, PointLight, Scene
 from ...raster import Surface, draw_surface
-from ...settings import Fitted, scene
-from ...settings.engines import BabylonFilter, BabylonJs, Engine, EngineName, Side, ThreeJs
+from ...settings import scene
+from ...settings.engines import BabylonFilter, BabylonJs, EngineName, Side, ThreeJs
 from ...settings.scene import LightKind
 from .._drawn import Drawn
 from ._progress import Progress
@@ -155,7 +155,7 @@ def engine_fit(name: EngineName, config: Config, lit: Sequence[Lit], kind: str |
     if name == "babylon.js":
         return babylon_js(config, lit, cast(BabylonFilter | None, kind))
     own, settings = preset(name, config), shadow.ENGINE_TECHNIQUES[name].settings
-    fixed = [each for each in settings.each() if each != "type" and not _is_fitted(settings, each)]
+    fixed = [key for key, each in settings.each().items() if key != "type" and not each.is_fitted]
     given = {each: _as_written(getattr(own, each)) for each in fixed}
     if kind is not None:
         given[settings.filter_key] = kind
@@ -167,10 +167,6 @@ def engine_fit(name: EngineName, config: Config, lit: Sequence[Lit], kind: str |
 def _as_written(value: Any) -> Any:
     """A setting as a configuration has it."""
     return float(value) if hasattr(value, "dtype") else value
-
-
-def _is_fitted(settings: type[Engine], key: str) -> bool:
-    return any(isinstance(mark, Fitted) for mark in settings.each()[key].marks)
 
 
 def preset(name: EngineName, config: Config) -> shadow.AbstractEngineShadows:

@@ -2,10 +2,20 @@
 
 import math
 
+import numpy as np
 import pytest
 
-from diffshadow.geometry import DirectionalLight, PointLight, SpotLight
-from diffshadow.shadow import BabylonJs, ThreeJs, castano_radius, engine_settings, plain_bias, radius_settings
+from diffshadow.geometry import DirectionalLight, PinholeCamera, PointLight, Scene, SpotLight, library_mesh
+from diffshadow.shadow import (
+    BabylonJs,
+    GodotCompatibility,
+    PlayCanvas,
+    ThreeJs,
+    castano_radius,
+    engine_settings,
+    light_frame,
+    radius_settings,
+)
 
 # Windows that are not square: texels are as large as in one of 4 by 4 world units, of the spot light at distance 2.
 SUN = DirectionalLight((0.3, -1.0, -0.2), (0.5, 1, 0), (2.0, 8.0), -3.0, 5.0)
@@ -14,6 +24,10 @@ LAMP = PointLight((0, 2, 0), 0.5, 10.0)
 SHIFT, TEXELS, SIZE = 0.02, 1.5, (100, 100)
 # n f / (D d²) at d = 2.
 SLOPE = 0.5 * 10 / (9.5 * 4)
+
+
+def plain_bias(technique, light, distance):
+    return technique.plain(light_frame(light, technique.resolution, distance), distance)
 
 
 def values(light, distance=2.0) -> dict[tuple[str, str], float | None]:
@@ -169,3 +183,15 @@ def test_soft_filters_of_godot_and_unity_apply_a_bias_several_times():
             [("Godot 4", "shadow_bias"), ("Unity URP", "shadowBias (depth)"), ("Unity URP", "shadowNormalBias")], 2.5
         )
     )
+
+
+@pytest.mark.parametrize(
+    "technique", [GodotCompatibility(resolution=(64, 64)), PlayCanvas(resolution=(64, 64), num_cascades=4)]
+)
+def test_a_spot_lights_map_fills_the_texture_whatever_cascades_a_sun_has(technique):
+    meshes = [library_mesh("box"), library_mesh("plane", size=4.0)]
+    light = SpotLight((-1.2, 3.0, 0.9), (1.2, -3.0, -0.9), outer_angle=30.0, near=0.5, far=8.0)
+    scene = Scene(meshes, PinholeCamera((2.0, 2.0, 3.0), (0.0, 0.0, 0.0), fov_y=40.0, near=0.1, far=20.0), light)
+    assert technique.prepare(scene).depth.shape == (64, 64)
+    # A texel at a distance of 3.
+    assert technique.frame(scene, 3.0).texel == pytest.approx(2 * np.tan(np.radians(30)) * 3 / 64, rel=1e-5)
