@@ -13,7 +13,7 @@ _LARGE = 3.0
 
 
 def intersecting_faces(vertices: Float[HostArray, "v 3"], faces: Int[HostArray, "f 3"]) -> Int[HostArray, "n 2"]:
-    """Pairs of faces without a common vertex, of which a side of one passes through the other."""
+    """Pairs of faces that share no vertex, where an edge of one face passes through the other, (n, 2)."""
     corners = np.asarray(vertices, np.float64)[faces]
     pairs = _near(corners)
     low, high = corners.min(axis=1), corners.max(axis=1)
@@ -48,7 +48,7 @@ def _near(corners: Float[HostArray, "f 3 3"]) -> Int[HostArray, "n 2"]:
 
 
 def _passes_through(sides: Float[HostArray, "n 3 3"], face: Float[HostArray, "n 3 3"]) -> Bool[HostArray, " n"]:
-    """Whether a side of a triangle passes through the inside of another triangle (Möller & Trumbore 1997)."""
+    """Whether an edge of a triangle passes through the inside of another triangle (Möller & Trumbore 1997)."""
     volume = lambda p, q, r, s: np.einsum("ni,ni->n", q - p, np.cross(r - p, s - p))
     a, b, c = np.moveaxis(face, 1, 0)
     found = np.zeros(len(sides), bool)

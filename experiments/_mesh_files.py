@@ -1,4 +1,4 @@
-"""Mesh files of other makers: those that packages ship under a free licence, and those of a folder."""
+"""Mesh files of other makers, from packages with a free licence and from a folder."""
 
 import subprocess
 import sys

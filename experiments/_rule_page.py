@@ -33,7 +33,7 @@ _SETTINGS = {
 
 
 def packaged(result: Mapping[str, Any], before: Mapping[str, Any]) -> dict[str, Any]:
-    """The rules as `diffshadow.settings.rules` reads them; those of parts that were not measured are as `before`."""
+    """The rules as `diffshadow.settings.rules` reads them. Rules that were not measured are kept from `before`."""
     formula = result["formulas"][FORMULA]
     made = {
         "scenes": result["scenes"],

@@ -399,9 +399,10 @@ def _of_casters(measured: Measured, rules: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def left_out(measured: Measured, name: str) -> dict[str, Any]:
-    """The rule of a filter, with all numbers that were tried: the bias that is best over all scenes; what it is worth
-    there (`searched`); and what rules are worth in scenes of kinds that they were not searched for in (`tested`), with
-    the mean price by kind and by the side of the map, and the price of each scene."""
+    """A filter's rule: the bias that is best over all scenes.
+
+    `searched` is its price there. `tested` is the price of rules in kinds of scenes that they were not searched for
+    in, with the mean price by kind and by the side of the map, and the price of each scene."""
     *_, free = families_of(name).values()
     best, everything = measured.best(name), np.ones(len(measured.kinds), bool)
     found = np.zeros((len(best), 3))

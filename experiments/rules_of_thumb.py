@@ -82,8 +82,8 @@ def main(
     meshes
         A folder of mesh files that scenes are also made of.
     publish
-        Also write the tables and figures of docs/rules_of_thumb.md, and the rules that the package ships. Those of
-        parts that are not measured stay.
+        Also write the tables and figures of docs/rules_of_thumb.md, and the rules that the package ships.
+        Rules that are not measured stay.
     output
         Where the folder rules_of_thumb is made.
     """

@@ -69,7 +69,7 @@ def test_a_golden_is_drawn_again(engines, engine, name):
     assert (off < 1e-4).mean() > 0.999
 
 
-# PlayCanvas and Godot draw the fitted setting as it was predicted. The camera and the light are those of `TINY`.
+# PlayCanvas and Godot draw the fitted setting as predicted, with the camera and the light of `TINY`.
 OTHERS = {
     "playcanvas": (
         "{type: playcanvas, shadow_distance: 8}",

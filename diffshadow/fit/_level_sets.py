@@ -111,7 +111,7 @@ def _interpolated(field: Field) -> Callable[[float, float, float], float]:
 
 
 def _whole(made: manifold3d.Manifold, mirror: tuple[float, ...] | None) -> Triangles:
-    """The large parts of a surface; with a plane, those of one half and of its mirror image."""
+    """The large parts of a surface. With a plane, only one half is kept and joined with its mirror image."""
     if mirror is not None:
         normal, offset = np.asarray(mirror[:3]), mirror[3]
         made = made.trim_by_plane(normal.tolist(), offset / float(np.linalg.norm(normal)))

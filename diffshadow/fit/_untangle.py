@@ -21,7 +21,7 @@ def untangled(
 ) -> Float[HostArray, "v 3"]:
     """The vertices of a surface, moved where faces intersect, and their neighbours. Those that are not `free` stay.
 
-    Some faces may still intersect: those of parts that stay, or that lie within one another.
+    Faces may still intersect where vertices are not free, and where one part lies within another.
     """
     near = None
     for _ in range(_ROUNDS):

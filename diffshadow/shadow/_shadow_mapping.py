@@ -149,7 +149,7 @@ class ShadowMapping(AbstractTechnique):
         return _shift(self.layout, self.bias, state, surface)
 
     def casting_sides(self, scene: Scene) -> tuple[Side | None, ...]:
-        return of_casters(_LEFT[self.map.cull], scene)
+        return of_casters([_LEFT[self.map.cull] for _ in scene.meshes], scene)
 
     def lays_out(self, name: str) -> bool:
         """Whether the number at the dotted path `name` lays out the map."""

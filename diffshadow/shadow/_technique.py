@@ -52,12 +52,11 @@ class AbstractTechnique(CheckedModule):
 
     def casting_sides(self, scene: Scene) -> tuple[Side | None, ...]:
         """Which faces of each mesh cast shadows, as the light sees them; none of a mesh that does not cast."""
-        return of_casters("double", scene)
+        return of_casters(["double" for _ in scene.meshes], scene)
 
 
-def of_casters(side: Side | Sequence[Side], scene: Scene) -> tuple[Side | None, ...]:
-    """`side`, one for all meshes or one for each, for each mesh that casts, and none for the others."""
-    sides = [side] * len(scene.meshes) if isinstance(side, str) else side
+def of_casters(sides: Sequence[Side], scene: Scene) -> tuple[Side | None, ...]:
+    """The `sides` of meshes that cast, and none for the others."""
     return tuple(one if casts else None for one, casts in zip(sides, scene.casts or (True,) * len(sides), strict=True))
 
 

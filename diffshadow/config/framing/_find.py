@@ -50,7 +50,7 @@ def find(config: Config, scene: Mapping[str, Any], asked: Asked) -> Found | None
     casts = np.repeat([mesh.casts for mesh in config.scene.meshes], [len(each) for each in meshes])
     camera = config.scene.camera
     up = np.asarray(camera.up, float)
-    # Of several lights, the first one.
+    # The first light stands for all.
     first = next(iter(config.scene.each_light.values()))
     light = frame_light(first, meshes[0]) if asked.sun or not asked.light else None
     view = None if asked.camera else _given_camera(camera, meshes[0])

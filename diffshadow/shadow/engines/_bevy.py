@@ -53,7 +53,7 @@ _INFINITY = 1e6
 class Bevy(AbstractEngineShadows):
     """The shadows of Bevy 0.19 under directional and spot lights.
 
-    Fields are named after those of `DirectionalLight`, `SpotLight`, `ShadowFilteringMethod` and
+    Fields have the names of the engine's own, in `DirectionalLight`, `SpotLight`, `ShadowFilteringMethod` and
     `CascadeShadowConfigBuilder`. A directional light's cameras are the engine's: they are fitted to what the scene's
     camera sees up to `maximum_distance`, and only the direction of the light counts.
 

@@ -75,9 +75,9 @@ _MOST_BIAS, _MOST_NORMAL = 10.0, 4.0
 class GodotCompatibility(AbstractEngineShadows):
     """The shadows of Godot 4.6 as its Compatibility renderer draws them. Forward+ and Mobile draw others.
 
-    Fields are named after those of `Light3D`, `DirectionalLight3D` and the project's settings. A directional light's
-    cameras are the engine's: they are fitted to what the scene's camera sees up to `directional_shadow_max_distance`,
-    and only the direction of the light counts.
+    Fields have the names of the engine's own, in `Light3D`, `DirectionalLight3D` and the project's settings. A
+    directional light's cameras are the engine's: they are fitted to what the scene's camera sees up to
+    `directional_shadow_max_distance`, and only the direction of the light counts.
 
     - `soft_filter_quality`: one bilinear compare, or the mean of 5 or 13; always one under a point light.
     - `shadow_bias`: moves casters' vertices away from the light, along their rays from its camera: by this many

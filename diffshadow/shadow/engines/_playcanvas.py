@@ -80,8 +80,8 @@ _AWAY = 1e6
 class PlayCanvas(AbstractEngineShadows):
     """The shadows of PlayCanvas 2.23, as it draws them on WebGL2 with `scene.clusteredLightingEnabled = false`.
 
-    Fields are named after those of `LightComponent`. A directional light's cameras are the engine's: they are fitted to
-    what the scene's camera sees up to `shadow_distance`, and only the direction of the light counts.
+    Fields have the names of the engine's own, in `LightComponent`. A directional light's cameras are the engine's: they
+    are fitted to what the scene's camera sees up to `shadow_distance`, and only the direction of the light counts.
 
     - `shadow_type`: the filter: one bilinear compare, or a tent over 3 or 5 texels. Under a point light, four compares
         for the last two.
@@ -275,10 +275,10 @@ class PlayCanvas(AbstractEngineShadows):
             lines += [f"// material.cull of each mesh: {', '.join(f'pc.CULLFACE_{culls[one]}' for one in self.side)}"]
         else:
             lines += [f"material.cull = pc.CULLFACE_{culls[self.side]};"]
-        holds = "range" if given.type != "directional" else "shadowDistance and view camera"
+        depends_on = "shadowDistance and view camera" if given.type == "directional" else "range"
         return [
             "// PlayCanvas 2.23, WebGL2.",
-            f"// Holds for this map size, {holds}: with others, fit it again.",
+            f"// Holds for this map size, {depends_on}: with others, fit it again.",
             *lines,
         ]
 

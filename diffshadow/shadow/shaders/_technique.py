@@ -15,7 +15,7 @@ def to_shader(technique: AbstractTechnique, light: AbstractLight, language: Shad
     """A technique as a function `shadow` of a shader, which finds what `technique.visibility` finds.
 
     Its comment says what its arguments are. Its numbers are constants above it, with all digits of single precision.
-    Those of the light, `SHADOW_NEAR` and `SHADOW_FAR`, belong to its matrices.
+    The constants `SHADOW_NEAR` and `SHADOW_FAR` belong to the light's matrices.
 
     **Arguments:**
 

@@ -170,9 +170,9 @@ def _as_written(value: Any) -> Any:
 
 
 def preset(name: EngineName, config: Config) -> shadow.AbstractEngineShadows:
-    """An engine's shadows with its defaults, or those of `config` if its technique is this engine's.
+    """An engine's shadows: as in `config` if its technique is this engine's, otherwise with the engine's defaults.
 
-    The map's size and the faces that cast are those of `config`.
+    The map's size and the faces that cast are as in `config`.
     """
     technique = shadow.ENGINE_TECHNIQUES[name]
     if config.technique.type == name:

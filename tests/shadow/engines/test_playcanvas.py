@@ -100,7 +100,7 @@ def test_a_setting_that_is_off_by_a_tenth_is_seen(name, key):
     state = technique.prepare(scene(golden))
     for factor in (0.9, 1.1):
         wrong = dataclasses.replace(technique, **{key: getattr(technique, key) * factor})
-        # The bias reaches the drawn map through its slopes, as if it were drawn anew.
+        # Changing the bias of a drawn map gives the map that is drawn with the new bias.
         assert agreement(golden, wrong.visibility(state, surface_of(golden))) < 0.99
         assert from_own_map(golden, wrong) < 0.99
 
