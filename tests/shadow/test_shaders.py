@@ -11,7 +11,7 @@ from shader_chains import ByOpenGL, BySpirv, ByWebGPU, Picture
 
 from diffshadow import shadow
 from diffshadow._arithmetic import normalize
-from diffshadow.geometry import PinholeCamera, PointLight, Scene, library_mesh, merge
+from diffshadow.geometry import PinholeCamera, PointLight, Scene, SpotLight, library_mesh, merge
 from diffshadow.raster import draw_surface
 from diffshadow.shadow import (
     AdaptiveBias,
@@ -65,7 +65,7 @@ TECHNIQUES = {
     ),
     "bilinear, fixed point": mapping(Bilinear(), PLAIN, depth_format="unorm16"),
     "four taps, Godot's offset": mapping(FourTap(1.2), Bias(0.2, 0.6, NormalOffset(0.5, "across"))),
-    "box, plane": mapping(PercentageCloser(1.7), Bias(plane=ReceiverPlane(deepening=0.5))),
+    "box, plane": mapping(PercentageCloser(1.7), Bias(plane=ReceiverPlane(deepening=0.5)), depth_format="unorm16"),
     "tent, linear": mapping(
         Tent(2.3), Bias(0.1, terms=LinearBias({"one": 0.1, "slope": 0.3, "blocker_distance": 0.1}))
     ),
@@ -73,11 +73,11 @@ TECHNIQUES = {
         Castano(3), Bias(normal_offset=NormalOffset(0.3, "one_minus_cosine"), terms=trained())
     ),
     "separable, soft": mapping(Separable((0.9, 0.5, 0.2)), PLAIN, SoftCompare(0.4)),
-    "disk, early out": mapping(RandomDisk(2.5, shadow.stratified(16, 4), early_out=True), PLAIN),
+    "disk, early out": mapping(RandomDisk(2.5, shadow.stratified(32, 4), early_out=True), PLAIN),
     "rotated disk, nearest taps": mapping(
         RandomDisk(3.0, shadow.vogel(12, rotated=True), "nearest"), Bias(plane=ReceiverPlane(1.0, 0.4))
     ),
-    "adaptive": mapping(Nearest(), Bias(plane=AdaptiveBias(0.1))),
+    "adaptive, fixed point": mapping(Nearest(), Bias(plane=AdaptiveBias(0.1)), depth_format="unorm16"),
     "soft shadows": mapping(
         PercentageCloserSoft(0.15, shadow.stratified(16, 2, seed=1), shadow.vogel(16, rotated=True)),
         Bias(plane=ReceiverPlane(deepening=0.0)),
@@ -96,7 +96,12 @@ def bulb(mesh):
     return PointLight.around(jnp.asarray(LAMP), mesh.vertices)
 
 
-EACH = {**LIGHTS, "point": bulb}
+def narrow(mesh):
+    """A lamp whose cone and depths end within the scene."""
+    return SpotLight(LAMP, tuple(-x for x in LAMP), outer_angle=12.0, near=3.0, far=3.6)
+
+
+EACH = {**LIGHTS, "point": bulb, "narrow": narrow}
 
 
 @functools.cache
@@ -116,6 +121,7 @@ SOME = ("bilinear, fixed point", "box, plane", "disk, early out", "soft shadows"
 CASES = [
     *((name, "spot") for name in TECHNIQUES),
     *((name, light) for light in ("directional", "point") for name in SOME),
+    *((name, "narrow") for name in ("box, plane", "separable, soft", "disk, early out")),
 ]
 EVERYDAY = {("box, plane", "spot"), ("disk, early out", "spot")}
 
