@@ -4,7 +4,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from ._report import report
-from .exports._shader import export_shader
 from .imports._import import import_scene
 from .pages._compare import compare
 from .record._files import add_files as add_files
@@ -45,6 +44,7 @@ if TYPE_CHECKING:
     from .advice._defaults import LightOptions as LightOptions
     from .advice._defaults import print_defaults
     from .advice._engines import engine_advice
+    from .exports._shader import export_shader
     from .pages._colours import difference_colours as difference_colours
     from .pages._colours import marked as marked
     from .pages._colours import on_surface as on_surface
@@ -61,6 +61,7 @@ _ON_USE = {
     "print_advise_plan": ".advice._advise",
     "run_advise": ".advice._advise",
     "engine_advice": ".advice._engines",
+    "export_shader": ".exports._shader",
     **dict.fromkeys(("LightOptions", "print_defaults"), ".advice._defaults"),
 }
 
