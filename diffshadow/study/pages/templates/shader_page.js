@@ -108,10 +108,13 @@ function drawMap(light, depths) {
     gl.enable(gl.POLYGON_OFFSET_FILL);
     gl.polygonOffset(...map.offset);
   }
-  depths.use();
+  // An offset is not added to depths that a shader writes.
+  const drawn = map.offset ? depths.plain : depths.exact;
+  drawn.use();
   for (let layer = 0; layer < layers; layer++) {
     gl.viewport(0, layer * map.height, map.width, map.height);
-    depths.matrices({ world_to_eye: light.world_to_eye.slice(16 * layer, 16 * layer + 16), eye_to_clip: light.eye_to_clip });
+    drawn.floats({ viewport: [0, layer * map.height, map.width, map.height] });
+    drawn.matrices({ world_to_eye: light.world_to_eye.slice(16 * layer, 16 * layer + 16), eye_to_clip: light.eye_to_clip });
     gl.drawArrays(gl.TRIANGLES, 0, 3 * data.mesh.casters);
   }
   gl.disable(gl.CULL_FACE);
@@ -153,7 +156,8 @@ function cameraNow() {
 
 function start() {
   if (!gl || !gl.getExtension("EXT_color_buffer_float")) throw new Error("This page needs WebGL 2 with EXT_color_buffer_float.");
-  const depths = program(glsl("scene.vert"), HEAD + NOTHING), encode = program(glsl("whole.vert"), glsl("encode.frag"));
+  const depths = { plain: program(glsl("scene.vert"), HEAD + NOTHING), exact: program(glsl("scene.vert"), glsl("depth.frag")) };
+  const encode = program(glsl("whole.vert"), glsl("encode.frag"));
   const maps = lights.map((light) => drawMap(light, depths));
   const linear = texture(gl.RGBA16F, width, height), depth = gl.createRenderbuffer(), picture = gl.createFramebuffer();
   gl.bindRenderbuffer(gl.RENDERBUFFER, depth);
@@ -187,8 +191,8 @@ function start() {
     gl.depthFunc(gl.LESS);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT | gl.STENCIL_BUFFER_BIT);
     gl.colorMask(false, false, false, false);
-    depths.use();
-    depths.matrices(matrices);
+    depths.plain.use();
+    depths.plain.matrices(matrices);
     gl.drawArrays(gl.TRIANGLES, 0, 3 * data.mesh.faces);
     gl.colorMask(true, true, true, true);
     // Each light adds to the nearest surface, once: of faces in one place, the first counts.
@@ -210,7 +214,7 @@ function start() {
         gl.activeTexture(gl.TEXTURE0);
         [...lit.tables.keys()].forEach((name, k) => lit.flags({ [name]: k + 1 }));
         lit.matrices({ ...matrices, light_to_eye: light.world_to_eye, light_to_clip: light.eye_to_clip });
-        lit.floats({ ...shading.numbers, ...light.numbers, ambient: i ? [0, 0, 0] : shading.ambient, eye });
+        lit.floats({ ...shading.numbers, ...light.numbers, ambient: i ? [0, 0, 0] : shading.ambient, eye, size: [wide, high] });
         lit.flags({ ...shading.flags, has_cone: light.has_cone, shows_visibility });
         gl.drawArrays(gl.TRIANGLES, 0, 3 * data.mesh.faces);
       });

@@ -1,16 +1,21 @@
 // One light's part of the picture, and with the first of them the light of all directions. The exported shader stands
 // above.
 uniform sampler2D shadow_map;
-uniform mat4 light_to_eye[LAYERS], light_to_clip;
+uniform mat4 world_to_eye, eye_to_clip, light_to_eye[LAYERS], light_to_clip;
+uniform vec2 size;
 // Of what has w = 0, x, y and z are the unit vector towards it; of what has w = 1, they are its place.
 uniform vec4 light, eye;
 uniform vec3 intensity, ambient, attenuation, axis;
 uniform float specular, shininess, cone_outer, cone_width, kept_in_shadow;
 uniform bool blinn, has_cone, shows_visibility;
-in vec3 world, corner_normal, albedo;
+in vec3 place, corner_normal, albedo;
 flat in vec3 face_normal;
 out vec4 colour;
 void main() {
+    // Rasterizers move vertices to whole steps, of 1/16 pixel without a GPU. This takes the pixel's centre again.
+    vec4 clip = eye_to_clip * (world_to_eye * vec4(place, 1.0));
+    vec2 off = gl_FragCoord.xy - (clip.xy / clip.w * 0.5 + 0.5) * size;
+    vec3 world = place + off.x * dFdx(place) + off.y * dFdy(place);
     vec3 to_camera = normalize(eye.xyz - eye.w * world);
     float side = dot(face_normal, to_camera) < 0.0 ? -1.0 : 1.0;
     vec3 path = light.xyz - light.w * world;

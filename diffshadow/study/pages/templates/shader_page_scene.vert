@@ -5,10 +5,10 @@ layout(location = 0) in vec3 position;
 layout(location = 1) in vec3 face_normal_in;
 layout(location = 2) in vec3 corner_normal_in;
 layout(location = 3) in vec3 colour_in;
-out vec3 world, corner_normal, albedo;
+out vec3 place, corner_normal, albedo;
 flat out vec3 face_normal;
 void main() {
-    world = position;
+    place = position;
     face_normal = face_normal_in;
     corner_normal = corner_normal_in;
     albedo = colour_in;
