@@ -3,7 +3,7 @@
 // PACKAGES is a folder with playwright-core in its node_modules. Of page number i, the pictures i_0.png, of the first
 // setting, and i_1.png, of the second, i_turned.png, after a drag, and i_page.png, the whole page, are written to FOLDER.
 // Writes JSON, for each page: `requests`, the addresses of all requests but for the page itself; `errors`; `failure`, what
-// the page says; `ms`, when the first picture was drawn, in milliseconds from the start; `back`, whether the button
+// the page says; `ms`, when the first picture was drawn and when the first with all pixels, in milliseconds from the start; `back`, whether the button
 // brings the first view back.
 
 import { writeFileSync } from "node:fs";
@@ -23,9 +23,9 @@ for (const [i, file] of files.entries()) {
   page.on("pageerror", (error) => seen.errors.push(error.message));
   page.on("console", (message) => seen.messages.push(message.text()));
   await page.goto(address);
-  await page.waitForFunction(() => document.body.dataset.firstPicture || !document.getElementById("failure").hidden, null, { timeout: 120000 });
+  await page.waitForFunction(() => document.body.dataset.fullPicture || !document.getElementById("failure").hidden, null, { timeout: 120000 });
   seen.failure = await page.textContent("#failure");
-  seen.ms = Number(await page.evaluate(() => document.body.dataset.firstPicture));
+  seen.ms = await page.evaluate(() => [document.body.dataset.firstPicture, document.body.dataset.fullPicture].map(Number));
   const picture = async () => {
     // Two frames later, and after the pause that follows a movement.
     await page.waitForTimeout(400);

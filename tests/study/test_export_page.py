@@ -84,3 +84,27 @@ def look(folder, *pages):
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
+
+
+def tiny(tmp_path, *overrides):
+    file = tmp_path / "tiny.yaml"
+    file.write_text(TINY)
+    return exported(tmp_path / "out", file, *overrides)
+
+
+@pytest.mark.browser
+@pytest.mark.exhaustive
+def test_pages_draw_the_pictures_of_renders(tmp_path):
+    file = tmp_path / "tiny.yaml"
+    file.write_text(TINY)
+    cases = [exported(tmp_path / str(i), file, *overrides) for i, overrides in enumerate(SCENES.values())]
+    found = look(tmp_path, *(folder / "page.html" for folder, _, _ in cases))
+    for i, (name, seen) in enumerate(zip(SCENES, found, strict=True)):
+        assert 0 < seen["ms"][0] <= seen.pop("ms")[1]
+        assert seen == {"requests": [], "errors": [], "messages": [], "failure": "", "back": True}, name
+        _, config, compared = cases[i]
+        pictures = [tmp_path / f"{i}_{k}.png" for k in (0, 1)]
+        shares = [equal_share(each, picture) for each, picture in zip((compared.config, config), pictures, strict=True)]
+        assert min(shares) > 0.995, (name, shares)
+        # The settings differ, and so do the pictures.
+        assert equal_share(config, pictures[0]) < 0.99, name
