@@ -1,24 +1,18 @@
 """The page of an export: what it holds, and in a browser what it draws, beside a render."""
 
 import json
-import re
-import shutil
-import subprocess
-from pathlib import Path
 
 import numpy as np
 import pytest
+from in_browser import in_browser
 from PIL import Image
 from rich.console import Console
 
-from diffshadow.config import ConfigError, build_scene, build_shading, build_technique, load_config
+from diffshadow.config import build_scene, build_shading, build_technique, load_config
 from diffshadow.raster import draw_surface
 from diffshadow.shading import to_srgb
 from diffshadow.study import compared_with, export_shader
 
-ROOT = Path(__file__).parent.parent.parent
-ENGINES = ROOT / "experiments" / "engines"
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 TINY = """scene:
   meshes:
     - {path: builtin:box, drop_to_ground: true, albedo: [0.8, 0.4, 0.2]}
@@ -64,7 +58,9 @@ def rendered(config):
     """The picture of a render, (h, w, 3) from its top row, from 0 to 255."""
     scene, technique = build_scene(config), build_technique(config, fitting=False)
     surface = draw_surface(scene.mesh, scene.camera)
-    seen = [technique.visibility(technique.prepare(each), surface) for each in map(scene.lit_by, range(len(scene.lights)))]
+    seen = [
+        technique.visibility(technique.prepare(each), surface) for each in map(scene.lit_by, range(len(scene.lights)))
+    ]
     linear = build_shading(config)(surface, seen, scene.lights, scene.camera)
     return 255 * to_srgb(np.clip(np.asarray(linear, np.float64), 0, 1))[::-1]
 
@@ -75,21 +71,8 @@ def equal_share(config, picture):
 
 
 def look(folder, *pages):
-    """What the browser finds on pages; the test is skipped where it lacks something."""
-    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
-    if browser is None or shutil.which("node") is None or not (ENGINES / "node_modules" / "playwright-core").is_dir():
-        pytest.skip("Chromium, node or playwright-core is missing; see experiments/engines")
-    script = str(ROOT / "tests" / "draw_shader_pages.mjs")
-    command = ["node", script, str(ENGINES), browser, str(folder), *map(str, pages)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
-
-
-def tiny(tmp_path, *overrides):
-    file = tmp_path / "tiny.yaml"
-    file.write_text(TINY)
-    return exported(tmp_path / "out", file, *overrides)
+    """What the browser finds on pages."""
+    return json.loads(in_browser("draw_shader_pages.mjs", folder, *pages))
 
 
 @pytest.mark.browser

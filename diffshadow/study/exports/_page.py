@@ -30,6 +30,11 @@ from ...config import (
 from ..pages._page import write_page
 
 PAGE = "page.html"
+# The function that the page calls: of one map of depths.
+_FUNCTION = (
+    "float shadow(sampler2D map, mat4 world_to_eye, mat4 eye_to_clip, vec3 position, vec3 normal, vec3 to_light, "
+    "vec2 pixel, int layer) {"
+)
 
 
 class Compared(NamedTuple):
@@ -59,11 +64,18 @@ def compared_with(config: Config, file: Path, overrides: Sequence[str]) -> Compa
 
 
 def check_page(config: Config, scene: geometry.Scene, technique: shadow.ShadowMapping) -> None:
-    """**Raises** `ValueError` for what the page cannot draw, though it has a shader."""
+    """**Raises** `ValueError` for what the page does not draw, though it has a shader."""
+    if not isinstance(technique.layout, shadow.SingleMap) or not all(
+        _FUNCTION in shadow.to_shader(technique, light, "glsl") for light in scene.lights
+    ):
+        raise ValueError(
+            f"the filter is {type(technique.filter).__name__} and the layout {type(technique.layout).__name__}, whose "
+            "shader needs more than one map of depths, which the page does not draw: leave out --page"
+        )
     if technique.map.depth_layer != "nearest":
         raise ValueError(
-            f"the map's depth_layer is {technique.map.depth_layer!r}, which the page does not draw; expected 'nearest': "
-            "leave out --page"
+            f"the map's depth_layer is {technique.map.depth_layer!r}, which the page does not draw; expected "
+            "'nearest': leave out --page"
         )
     if scene.mesh.alpha_test is not None:
         raise ValueError(
