@@ -207,7 +207,7 @@ def _camera_of(scene: geometry.Scene) -> dict[str, Any]:
         "eye_to_clip": _columns(view.eye_to_clip),
         "perspective": bool(view.is_perspective),
         "target": target.tolist(),
-        "near": float(view.near),
+        "near": float(camera.view().near),
         # From the target to the farthest point, in world units.
         "reach": float(np.linalg.norm(points - target, axis=1).max()),
         # Of the camera above its target, in radians.
