@@ -16,15 +16,17 @@ const gl = canvas.getContext("webgl2", { antialias: false, alpha: false, depth: 
 // A program, and what sets its uniforms by their names.
 function program(vertex, fragment) {
   const made = gl.createProgram();
-  for (const [type, text] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
+  const shaders = [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]].map(([type, text]) => {
     const shader = gl.createShader(type);
     gl.shaderSource(shader, text);
     gl.compileShader(shader);
     gl.attachShader(made, shader);
-    if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(shader));
-  }
+    return shader;
+  });
   gl.linkProgram(made);
-  if (!gl.getProgramParameter(made, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(made));
+  // To ask is to wait for the compiler, so one asks once.
+  if (!gl.getProgramParameter(made, gl.LINK_STATUS))
+    throw new Error([...shaders.map((shader) => gl.getShaderInfoLog(shader)), gl.getProgramInfoLog(made)].join("\n"));
   const of = (name) => gl.getUniformLocation(made, name);
   return {
     use: () => gl.useProgram(made),
