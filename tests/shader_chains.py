@@ -293,9 +293,8 @@ class ByWebGPU:
             parts.append(self._blurred(shader, PASSES[1], {1: first}, columns))
         tables = [made(np.asarray(values, np.float32), usage.STORAGE) for values in picture.buffers]
         code = shader + picture.main(WGSL_MAIN, shader).replace("WIDTH", str(width))
-        self._computed(
-            code, [dict(enumerate(parts)), *([dict(enumerate(tables))] if tables else [])], len(points) // 64
-        )
+        groups = [dict(enumerate(parts)), *([dict(enumerate(tables))] if tables else [])]
+        self._computed(code, groups, len(points) // 64)
         return np.frombuffer(device.queue.read_buffer(lit), np.float32).reshape(height, width)
 
     def _blurred(self, shader: str, call: str, read: dict[int, Any], size: tuple[int, int]) -> Any:

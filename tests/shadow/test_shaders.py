@@ -1,7 +1,6 @@
 """Techniques as shaders: visibility by the exported functions, beside ours."""
 
 import functools
-import re
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -159,7 +158,7 @@ CASES = [
     *((name, light) for light in ("directional", "point") for name in (*SOME, "vsm", "esm", "evsm", "msm")),
     *((name, "narrow") for name in ("box, plane", "separable, soft", "disk, early out", "vsm", "msm")),
 ]
-EVERYDAY = {("box, plane", "spot"), ("disk, early out", "spot")}
+EVERYDAY = {("box, plane", "spot"), ("disk, early out", "spot"), ("moments in cascades", "directional")}
 
 
 @pytest.mark.parametrize(
@@ -197,7 +196,7 @@ def test_constants_have_all_digits_and_a_comment():
             mapping(Nearest(), Bias(1.0, factors=(1.0, 2.0))),
             r"the bias has 2 factors, and the map has 1 layer",
         ),
-        (mapping(Nearest(), PLAIN, layout=Cascades()), r"the light is a DirectionalLight, .*prepare\(scene\)\.light"),
+        (mapping(Nearest(), PLAIN, layout=Cascades()), r"the light is a DirectionalLight, .*light_of_map\(scene\)"),
         (mapping(Nearest(), PLAIN, layout=shadow.ResolutionMatched()), r"ResolutionMatched, whose pages .*: cascades"),
         (ShadowMapping(Nearest(), PLAIN, map=MapSettings(silhouettes=True)), r"silhouettes is true, .*expected false"),
     ],

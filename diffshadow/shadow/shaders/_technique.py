@@ -53,7 +53,7 @@ def to_shader(
 
     - `technique`: a `ShadowMapping` without silhouettes, with a single map, cascades or a warp.
     - `light`: as the map was drawn from: a directional, a spot or a point light, and for cascades or a warp
-        `technique.prepare(scene).light`.
+        `technique.light_of_map(scene)`.
     - `language`: `"glsl"` (3.30 or ES 3.00), `"wgsl"`, or `"hlsl"` (shader model 5).
     - `name`: of the function, in small letters. All other names begin with it, so that shaders of different names fit
         into one program.
@@ -126,7 +126,7 @@ def _shader_of(technique: AbstractTechnique, light: AbstractLight) -> ShaderPart
     if expected is not None and not isinstance(light, expected):
         raise ValueError(
             f"the light is a {type(light).__name__}, and the layout is {type(layout).__name__}; expected the light "
-            "that the map is drawn from: technique.prepare(scene).light"
+            "that the map is drawn from: technique.light_of_map(scene)"
         )
     view, lays_out = light.view(), layout.shader(light)
     count = max([len(matrix) for matrix in (view.world_to_eye, view.eye_to_clip) if matrix.ndim > 2], default=1)
