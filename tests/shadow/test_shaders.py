@@ -102,7 +102,7 @@ TECHNIQUES = {
         layout=Cascades(3, select="map", blend=0.3, margin=4.0),
     ),
     "cascades by depth, fading": mapping(
-        Bilinear(), PLAIN, layout=Cascades(3, blend=0.4, shadow_distance=4.0, fade=0.5, shares=(4.0, 2.0, 1.0))
+        Bilinear(), PLAIN, layout=Cascades(distances=(2.5, 3.0, 4.0), blend=0.4, fade=0.5, shares=(4.0, 2.0, 1.0))
     ),
     "moments in cascades": mapping(
         ExponentialVarianceShadowMap(2.0, negative_exponent=10.0), PLAIN, layout=Cascades(2, 0.7, fit="scene")
