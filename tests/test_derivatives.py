@@ -22,7 +22,8 @@ WITHOUT = {
     "what is read or made on the host, and is no number of a fit": """
         geometry.LIBRARY geometry.library_mesh geometry.OptionError geometry.Edges geometry.WORLD geometry.Origin
         geometry.PrecisionWarning geometry.crease_normals geometry.split_in_four geometry.weld shadow.EngineLight
-        shadow.bias_for shadow.engine_code shadow.engine_settings shadow.radius_settings shadow.to_shader""",
+        shadow.bias_for shadow.engine_code shadow.engine_settings shadow.radius_settings shadow.shader_buffers
+        shadow.to_shader""",
     "choices of names": """
         geometry.CascadeSelection raster.Cull shadow.BabylonFilter shadow.BabylonQuality shadow.DiskMapping
         shadow.LevelNorm shadow.Side shadow.WarpMethod""",

@@ -69,7 +69,7 @@ from .layouts import Choice as Choice
 from .layouts import LayerFigure as LayerFigure
 from .layouts import MapFigure as MapFigure
 from .patterns import Pattern, halton, poisson_disk, sobol, stratified, uniform, vogel
-from .shaders import to_shader
+from .shaders import shader_buffers, to_shader
 from .silhouettes import SilhouetteMap
 
 __all__ = [
@@ -152,6 +152,7 @@ __all__ = [
     "poisson_disk",
     "radius_settings",
     "receiver",
+    "shader_buffers",
     "shadow_volumes",
     "sobol",
     "stratified",

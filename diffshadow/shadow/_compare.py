@@ -13,7 +13,7 @@ from .._checks import CheckedModule
 from .._types import AsScalar
 from ..settings import maps
 from ..settings.maps import DepthOperator, SoftKernel
-from ._shader import Constant, ShaderPart, number
+from ._shader import Constant, ShaderPart, number, text_of
 
 
 class AbstractCompare(CheckedModule):
@@ -112,6 +112,7 @@ _IN_SHADER = {
     "linear": "clamp(0.5 * {t} + 0.5, 0.0, 1.0)",
     "smoothstep": "smoothstep(-1.0, 1.0, {t})",
     "exponential": "exp(min({t}, 0.0))",
+    "gaussian": "shadow_normal({t})",
 }
 _FUNCTION = """// 1 where the receiver is lit, 0 where the stored depth shadows it.
 float shadow_compare(float stored, float receiver, float depth_per_texel) {{
@@ -145,10 +146,7 @@ class SoftCompare(AbstractCompare):
         return _KERNELS[self.kernel]((stored - receiver) * (1 / (self.width * depth_per_texel)))
 
     def shader(self) -> ShaderPart:
-        if self.kernel not in _IN_SHADER:
-            raise ValueError(
-                f"the compare has the kernel {self.kernel}, which has no shader; expected {', '.join(_IN_SHADER)}"
-            )
         width = Constant("COMPARE_WIDTH", number(self.width), "of the soft compare, in texels along the light's axis")
         step = _IN_SHADER[self.kernel].format(t="(stored - receiver) / (SHADOW_COMPARE_WIDTH * depth_per_texel)")
-        return ShaderPart((width,), _FUNCTION.format(step))
+        helper = text_of("_normal.glsl") + "\n" if self.kernel == "gaussian" else ""
+        return ShaderPart((width,), helper + _FUNCTION.format(step))

@@ -1,3 +1,12 @@
+// The light's view that a layer of the map shows.
+struct ShadowView {
+    mat4 world_to_eye;
+    mat4 eye_to_clip;
+    vec2 warp;  // its strength, and the clip coordinate x of its centre; 0 without a warp
+    vec2 size;  // width and height in texels
+    int layer;  // of the map
+};
+
 // The receiver as the light sees it.
 struct ShadowReceiver {
     vec3 position;  // world units
@@ -13,6 +22,7 @@ struct ShadowReceiver {
     float light_distance;  // along the light's axis, 0 at the map's near plane and 1 at its far plane
     float depth_range;  // from the near to the far plane, in world units
     float stored;  // window depth in the map at the receiver's own texel
+    int layer;  // of the map
 };
 
 // Width and height in texels of a layer. A map of several has the first one at its lower end.
@@ -30,41 +40,66 @@ float shadow_stored(sampler2D map, int layer, ivec2 texel) {
     return shadow_fetch(map, ivec2(texel.x, texel.y + layer * size.y));
 }
 
+// The view of a layer without a warp.
+ShadowView shadow_view(sampler2D map, mat4 world_to_eye, mat4 eye_to_clip, int layer) {
+    ShadowView view;
+    view.world_to_eye = world_to_eye;
+    view.eye_to_clip = eye_to_clip;
+    view.warp = vec2(0.0, 0.0);
+    view.size = vec2(shadow_layer_size(map));
+    view.layer = layer;
+    return view;
+}
+
+// Warped clip coordinates: a perspective along y, which enlarges the map's lower end.
+vec4 shadow_warped(vec4 clip, vec2 warp) {
+    float away = warp.x * 0.5 * (clip.y + clip.w);
+    return clip + away * vec4(warp.y, 1.0, 0.0, 1.0);
+}
+
 // Width and height of a texel in world units; under a perspective, at a distance of 1.
-vec2 shadow_extent(mat4 eye_to_clip, sampler2D map) {
-    vec2 size = vec2(shadow_layer_size(map));
-    return vec2(2.0 / (eye_to_clip[0][0] * size.x), 2.0 / (eye_to_clip[1][1] * size.y));
+vec2 shadow_extent(ShadowView view, vec2 texel) {
+    vec2 extent = vec2(2.0 / (view.eye_to_clip[0][0] * view.size.x), 2.0 / (view.eye_to_clip[1][1] * view.size.y));
+    if (SHADOW_WARPED) {
+        float most = 1.0 + view.warp.x;
+        float divisor = most / (most - view.warp.x * clamp(texel.y / view.size.y, 0.0, 1.0));
+        extent = vec2(extent.x * divisor, extent.y * divisor * divisor / most);
+    }
+    return extent;
 }
 
 // Where a point falls in the map, x and y in texels, and its window depth; w is 1 in front of the light and 0 behind it.
-vec4 shadow_project(sampler2D map, mat4 world_to_eye, mat4 eye_to_clip, vec3 position) {
-    vec4 clip = shadow_times(eye_to_clip, shadow_times(world_to_eye, vec4(position, 1.0)));
-    vec2 size = vec2(shadow_layer_size(map));
-    if (clip.w <= shadow_select(0.0, 0.001 * SHADOW_NEAR, SHADOW_PERSPECTIVE)) {
-        return vec4(1.5 * size.x, 1.5 * size.y, 1.5, 0.0);
+vec4 shadow_project(ShadowView view, vec3 position) {
+    vec4 clip = shadow_times(view.eye_to_clip, shadow_times(view.world_to_eye, vec4(position, 1.0)));
+    vec4 place = clip;
+    if (SHADOW_WARPED) {
+        place = shadow_warped(clip, view.warp);
     }
-    vec3 window = shadow_window(clip);
-    return vec4(window.x * size.x, window.y * size.y, window.z, 1.0);
+    if (place.w <= shadow_select(0.0, 0.001 * SHADOW_NEAR, SHADOW_PERSPECTIVE)) {
+        return vec4(1.5 * view.size.x, 1.5 * view.size.y, 1.5, 0.0);
+    }
+    vec3 window = shadow_window(place);
+    // A warp leaves depths as they are.
+    return vec4(window.x * view.size.x, window.y * view.size.y, shadow_window(clip).z, 1.0);
 }
 
-ShadowReceiver shadow_receiver(sampler2D map, int layer, mat4 world_to_eye, mat4 eye_to_clip, vec3 position, vec3 normal, vec3 to_light) {
+ShadowReceiver shadow_receiver(sampler2D map, ShadowView view, vec3 position, vec3 normal, vec3 to_light) {
     ShadowReceiver at;
-    vec3 eye = shadow_times(world_to_eye, vec4(position, 1.0)).xyz;
-    vec2 size = vec2(shadow_layer_size(map));
+    vec3 eye = shadow_times(view.world_to_eye, vec4(position, 1.0)).xyz;
     float span = SHADOW_FAR - SHADOW_NEAR;
     float along = shadow_select(-eye.z, max(-eye.z, SHADOW_NEAR), SHADOW_PERSPECTIVE);
     at.position = position;
     at.normal = normal;
     at.cosine = dot(normal, to_light);
-    vec4 place = shadow_project(map, world_to_eye, eye_to_clip, position);
+    vec4 place = shadow_project(view, position);
     at.texel = place.xy;
     at.depth = place.z;
     at.in_front = place.w > 0.0;
-    vec2 extent = shadow_extent(eye_to_clip, map) * shadow_select(1.0, along, SHADOW_PERSPECTIVE);
+    vec2 extent = shadow_extent(view, at.texel) * shadow_select(1.0, along, SHADOW_PERSPECTIVE);
     at.texel_size = sqrt(extent.x * extent.y);
     float depth_slope = shadow_select(1.0 / span, SHADOW_FAR * SHADOW_NEAR / (span * along * along), SHADOW_PERSPECTIVE);
     at.depth_per_texel = at.texel_size * depth_slope;
-    vec3 facing = shadow_times(world_to_eye, vec4(normal, 0.0)).xyz;
+    vec3 facing = shadow_times(view.world_to_eye, vec4(normal, 0.0)).xyz;
     vec3 ray = vec3(0.0, 0.0, -1.0);
     if (SHADOW_PERSPECTIVE) {
         ray = eye / along;
@@ -74,14 +109,22 @@ ShadowReceiver shadow_receiver(sampler2D map, int layer, mat4 world_to_eye, mat4
     if (abs(towards) <= least) {
         towards = shadow_select(least, -least, towards < 0.0);
     }
-    at.slope = vec2(-facing.x / towards * extent.x / at.texel_size, -facing.y / towards * extent.y / at.texel_size);
+    vec2 across = facing.xy;
+    if (SHADOW_WARPED) {
+        // Columns of a warped map lean towards its centre.
+        float column = at.texel.x * 2.0 / view.size.x - 1.0;
+        float lean = 0.5 * view.warp.x * (column - view.warp.y) * view.eye_to_clip[1][1] / view.eye_to_clip[0][0];
+        across = vec2(across.x, across.y + lean * across.x);
+    }
+    at.slope = vec2(-across.x / towards * extent.x / at.texel_size, -across.y / towards * extent.y / at.texel_size);
     vec3 near_position = abs(position);
     vec3 near_eye = abs(eye);
-    float reach = max(near_position.x, max(near_position.y, near_position.z)) + max(near_eye.x, max(near_eye.y, near_eye.z)) + max(size.x, size.y) * at.texel_size;
+    float reach = max(near_position.x, max(near_position.y, near_position.z)) + max(near_eye.x, max(near_eye.y, near_eye.z)) + max(view.size.x, view.size.y) * at.texel_size;
     float steepness = sqrt(1.0 + dot(at.slope, at.slope));
     at.rounding = 8.0 * 1.1920929e-07 * (1.0 + depth_slope * reach * steepness) + SHADOW_HALF_STEP;
     at.light_distance = (along - SHADOW_NEAR) / span;
     at.depth_range = span;
-    at.stored = shadow_stored(map, layer, ivec2(floor(at.texel)));
+    at.stored = shadow_stored(map, view.layer, ivec2(floor(at.texel)));
+    at.layer = view.layer;
     return at;
 }

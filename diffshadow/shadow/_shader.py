@@ -25,10 +25,14 @@ class Constant(NamedTuple):
 
 
 class ShaderPart(NamedTuple):
-    """Functions of a shader, and the constants that they use."""
+    """Functions of a shader, and the constants that they use.
+
+    - `textures`: names of the textures that `shadow_filter` reads besides the map.
+    """
 
     constants: tuple[Constant, ...]
     text: str
+    textures: tuple[str, ...] = ()
 
 
 class ShaderBias(NamedTuple):
@@ -72,4 +76,5 @@ def joined(parts: Iterable[ShaderPart]) -> ShaderPart:
     """Several parts as one."""
     each: Sequence[ShaderPart] = tuple(parts)
     constants = tuple(constant for part in each for constant in part.constants)
-    return ShaderPart(constants, "\n".join(part.text for part in each if part.text))
+    textures = tuple(texture for part in each for texture in part.textures)
+    return ShaderPart(constants, "\n".join(part.text for part in each if part.text), textures)

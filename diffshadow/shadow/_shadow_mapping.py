@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int
 from .._arithmetic import in_unit_range, is_traced
 from .._checks import check_instance
 from .._types import Mask, Visibility
-from ..geometry import AbstractCamera, AbstractLight, Edges, Mesh, Scene
+from ..geometry import AbstractCamera, AbstractLight, Edges, Scene
 from ..raster import Cull, Surface, draw_surface
 from ._aliasing import Aliasing, aliasing
 from ._compare import AbstractCompare, HardCompare
@@ -94,7 +94,7 @@ class ShadowMapping(AbstractTechnique):
         """
         if not self.map.silhouettes:
             return MapPlan()
-        casters, light = self._lit_casters(scene, surface)
+        casters, light = scene.casters, self.light_of_map(scene, surface)
         edges = Edges.of(casters)
         crossings = plan_crossings(casters, light, self.layers.resolution, edges)
         return MapPlan(edges, math.ceil(margin * crossings), raises)
@@ -121,15 +121,22 @@ class ShadowMapping(AbstractTechnique):
                 f"the plan has {'no edges' if plan.edges is None else 'edges'}, and map.silhouettes is "
                 f"{self.map.silhouettes}; expected a plan for this map: make it with technique.plan(scene)"
             )
-        casters, light = self._lit_casters(scene, surface)
+        casters, light = scene.casters, self.light_of_map(scene, surface)
         plan = MapPlan(Edges.of(casters) if self.map.silhouettes else None) if plan is None else plan
         return self.layers.draw(casters, light, edges=plan.edges, crossings=plan.crossings, raises=plan.raises)
 
-    def _lit_casters(self, scene: Scene, surface: Surface | None) -> tuple[Mesh, AbstractLight]:
-        """The scene's casters, and its light as the layout lays it out."""
+    def light_of_map(self, scene: Scene, surface: Surface | None = None) -> AbstractLight:
+        """The light that the map is drawn from: the scene's only one, as the layout lays it out.
+
+        **Arguments:**
+
+        - `surface`: as for `prepare`.
+
+        **Raises** what the layout raises.
+        """
         if self.layout.needs_surface and surface is None:
             surface = draw_surface(scene.mesh, scene.camera)
-        return scene.casters, self.layout.light(scene.light, scene.camera, self.map.resolution, surface)
+        return self.layout.light(scene.light, scene.camera, self.map.resolution, surface)
 
     def visibility(self, state: ShadowMap, surface: Surface) -> Visibility:
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.

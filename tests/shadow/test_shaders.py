@@ -17,24 +17,32 @@ from diffshadow.shadow import (
     AdaptiveBias,
     Bias,
     Bilinear,
+    Cascades,
     Castano,
     ConstantBias,
+    ExponentialShadowMap,
+    ExponentialVarianceShadowMap,
     FourTap,
     HardCompare,
     LinearBias,
     MapSettings,
+    MomentShadowMap,
     Nearest,
     NormalOffset,
     PercentageCloser,
     PercentageCloserSoft,
     PerceptronBias,
+    PerspectiveWarp,
     RandomDisk,
     ReceiverPlane,
     Separable,
     ShadowMapping,
+    SingleMap,
     SlopeBias,
     SoftCompare,
     Tent,
+    VarianceShadowMap,
+    shader_buffers,
     to_shader,
 )
 
@@ -52,11 +60,11 @@ def trained():
 PLAIN = Bias(0.3, 0.5, 0.4)
 
 
-HARD = HardCompare()
+HARD, SINGLE = HardCompare(), SingleMap()
 
 
-def mapping(filter, bias, compare=HARD, depth_format="float32"):
-    return ShadowMapping(filter, bias, compare, MapSettings((SIDE, SIDE), depth_format=depth_format))
+def mapping(filter, bias, compare=HARD, depth_format="float32", layout=SINGLE):
+    return ShadowMapping(filter, bias, compare, MapSettings((SIDE, SIDE), depth_format=depth_format), layout)
 
 
 TECHNIQUES = {
@@ -83,6 +91,30 @@ TECHNIQUES = {
         Bias(plane=ReceiverPlane(deepening=0.0)),
     ),
     "exponential compare": mapping(Bilinear(), PLAIN, SoftCompare(0.5, "exponential")),
+    "gaussian compare": mapping(Bilinear(), PLAIN, SoftCompare(0.5, "gaussian")),
+    "vsm": mapping(VarianceShadowMap(2.0, kernel="tent", least_variance=1e-5, light_bleeding=0.2), PLAIN),
+    "esm": mapping(ExponentialShadowMap(2.5, exponent=20.0), PLAIN, depth_format="unorm16"),
+    "evsm": mapping(ExponentialVarianceShadowMap(2.5, kernel="gaussian"), PLAIN),
+    "msm": mapping(MomentShadowMap(2.0, light_bleeding=0.02), PLAIN),
+    "cascades by map, blended": mapping(
+        PercentageCloser(1.5),
+        Bias(0.4, 0.6, 0.3, factors=(1.0, 0.8, 1.5)),
+        layout=Cascades(3, select="map", blend=0.3, margin=4.0),
+    ),
+    "cascades by depth, fading": mapping(
+        Bilinear(), PLAIN, layout=Cascades(distances=(2.5, 3.0, 4.0), blend=0.4, fade=0.5, shares=(4.0, 2.0, 1.0))
+    ),
+    "moments in cascades": mapping(
+        ExponentialVarianceShadowMap(2.0, negative_exponent=10.0), PLAIN, layout=Cascades(2, 0.7, fit="scene")
+    ),
+    "warp, plane": mapping(
+        PercentageCloser(1.5), Bias(normal_offset=0.3, plane=ReceiverPlane(deepening=1.0)), layout=PerspectiveWarp()
+    ),
+    "perspective warp, soft": mapping(
+        PercentageCloserSoft(2.0, shadow.vogel(12), shadow.vogel(16)),
+        Bias(0.5, 0.5, plane=ReceiverPlane(deepening=0.0)),
+        layout=PerspectiveWarp("perspective", shadow_distance=4.2, margin=33.0),
+    ),
 }
 
 
@@ -112,18 +144,21 @@ def picture_of(name, light):
     scene = Scene(meshes, camera, EACH[light](merge(meshes)))
     technique, surface = TECHNIQUES[name], draw_surface(scene.mesh, camera)
     state = technique.prepare(scene)
-    picture = Picture(state, surface, normalize(scene.light.towards(surface.position)))
-    return scene.light, picture, np.asarray(technique.visibility(state, surface)), np.asarray(surface.mask)
+    ways = normalize(scene.light.towards(surface.position))
+    buffers = shader_buffers(technique, state.light, "wgsl").values()
+    picture = Picture(state, surface, ways, buffers)
+    return state.light, picture, np.asarray(technique.visibility(state, surface)), np.asarray(surface.mask)
 
 
 # A light changes constants only, so that four techniques are enough for the others.
 SOME = ("bilinear, fixed point", "box, plane", "disk, early out", "soft shadows")
+FITTED = tuple(name for name, technique in TECHNIQUES.items() if technique.layout != SINGLE)
 CASES = [
-    *((name, "spot") for name in TECHNIQUES),
-    *((name, light) for light in ("directional", "point") for name in SOME),
-    *((name, "narrow") for name in ("box, plane", "separable, soft", "disk, early out")),
+    *((name, "directional" if name in FITTED else "spot") for name in TECHNIQUES),
+    *((name, light) for light in ("directional", "point") for name in (*SOME, "vsm", "esm", "evsm", "msm")),
+    *((name, "narrow") for name in ("box, plane", "separable, soft", "disk, early out", "vsm", "msm")),
 ]
-EVERYDAY = {("box, plane", "spot"), ("disk, early out", "spot")}
+EVERYDAY = {("box, plane", "spot"), ("disk, early out", "spot"), ("moments in cascades", "directional")}
 
 
 @pytest.mark.parametrize(
@@ -153,17 +188,51 @@ def test_constants_have_all_digits_and_a_comment():
 @pytest.mark.parametrize(
     ("technique", "message"),
     [
-        (shadow.ShadowVolumes(), r"the technique is ShadowVolumes, which has no shader; expected ShadowMapping"),
-        (mapping(shadow.VarianceShadowMap(), PLAIN), r"the filter is of type VarianceShadowMap, which has no shader"),
-        (mapping(Nearest(), Bias(1.0, factors=(1.0, 2.0))), r"the bias has factors, which have no shader"),
-        (mapping(Nearest(), PLAIN, SoftCompare(0.5, "gaussian")), r"the kernel gaussian, which has no shader"),
-        (ShadowMapping(Nearest(), PLAIN, layout=shadow.Cascades()), r"the layout is Cascades, which has no shader"),
+        (shadow.ShadowVolumes(), r"the technique is ShadowVolumes, .*; nearest comes ShadowMapping"),
+        (shadow.IrregularZBuffer(), r"the technique is IrregularZBuffer, .*; nearest comes ShadowMapping"),
+        (shadow.ProjectiveShadow(), r"the technique is ProjectiveShadow, .*; nearest comes ShadowMapping"),
+        (shadow.ThreeJs(), r"the technique is ThreeJs, .*; `diffshadow convert` writes its settings"),
+        (
+            mapping(Nearest(), Bias(1.0, factors=(1.0, 2.0))),
+            r"the bias has 2 factors, and the map has 1 layer",
+        ),
+        (mapping(Nearest(), PLAIN, layout=Cascades()), r"the light is a DirectionalLight, .*light_of_map\(scene\)"),
+        (mapping(Nearest(), PLAIN, layout=shadow.ResolutionMatched()), r"ResolutionMatched, whose pages .*: cascades"),
         (ShadowMapping(Nearest(), PLAIN, map=MapSettings(silhouettes=True)), r"silhouettes is true, .*expected false"),
     ],
 )
 def test_what_has_no_shader_is_refused(technique, message):
     with pytest.raises(ValueError, match=message):
         to_shader(technique, LIGHTS["directional"](library_mesh("box")))
+
+
+@pytest.mark.exhaustive
+def test_two_shaders_fit_into_one_program(chain):
+    language, draw = chain
+    of_light, picture, ours, mask = picture_of("disk, early out", "spot")
+    other = to_shader(TECHNIQUES["vsm"], picture_of("vsm", "point")[0], language, name="lamp_2", first_binding=1)
+    assert ("LAMP_2_NEAR" in other, "Lamp2Receiver" in other, "lamp_2_blur_rows(" in other) == (True, True, True)
+    theirs = draw(other + to_shader(TECHNIQUES["disk, early out"], of_light, language), picture)
+    assert (np.abs(theirs - ours) > 1 / 255)[mask].mean() <= 1e-3
+
+
+@pytest.mark.parametrize("name", ["Sun", "2nd", "gl_sun", "a__b", "_a", ""])
+def test_a_name_that_is_none_is_refused(name):
+    with pytest.raises(ValueError, match=r"the shader's name is .*expected small letters"):
+        to_shader(TECHNIQUES["vsm"], LIGHTS["spot"](library_mesh("box")), name=name)
+
+
+def test_long_tables_are_buffers_of_wgsl():
+    technique, light = mapping(RandomDisk(2.0), PLAIN), LIGHTS["spot"](library_mesh("box"))
+    text = to_shader(technique, light, "wgsl", "lamp", first_binding=3)
+    assert "@group(1) @binding(3) var<storage, read> LAMP_PATTERN: array<f32>;" in text
+    ((name, values),) = shader_buffers(technique, light, "wgsl", "lamp").items()
+    assert name == "LAMP_PATTERN"
+    np.testing.assert_array_equal(values, np.ravel(technique.filter.pattern.offsets))
+    assert shader_buffers(technique, light, "glsl") == {}
+    short = mapping(RandomDisk(2.0, shadow.vogel(16)), PLAIN)
+    assert "array<f32, 32>(" in to_shader(short, light, "wgsl")
+    assert shader_buffers(short, light, "wgsl") == {}
 
 
 def test_a_light_of_other_layers_is_refused():

@@ -2,6 +2,8 @@
 
 import json
 import re
+import shutil
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -41,9 +43,11 @@ def test_folder_holds_a_shader_for_each_light_the_matrices_the_scene_and_a_page(
     assert {path.name for path in folder.iterdir()} == names
     assert len(io.read_scene(folder / "scene.glb").lights) == 2
     texts = [(folder / f"shadow_{i}.glsl").read_text() for i in (0, 1)]
-    assert ["SHADOW_PERSPECTIVE = true" in text for text in texts] == [False, True]
-    assert all("SHADOW_CONSTANT_BIAS = 0.25;" in text for text in texts)
-    assert "SHADOW_NEAR = 0.5;" in texts[1]
+    assert "SHADOW_0_PERSPECTIVE = false" in texts[0]
+    assert "SHADOW_1_PERSPECTIVE = true" in texts[1]
+    assert all(f"SHADOW_{i}_CONSTANT_BIAS = 0.25;" in text for i, text in enumerate(texts))
+    assert "SHADOW_1_NEAR = 0.5;" in texts[1]
+    assert "float shadow_1(sampler2D map, mat4" in texts[1]
 
 
 def test_matrices_are_of_both_clip_spaces(tmp_path):
@@ -70,9 +74,80 @@ def test_page_says_how_the_map_is_drawn(tmp_path):
     assert "the light is at (1, 3, 1)" in page
 
 
+SUN = """scene:
+  meshes: [{path: builtin:box}, {path: builtin:plane, options: {size: 4}}]
+  camera: {eye: [2, 2, 3], target: [0, 0, 0], resolution: [16, 16]}
+shadow_map: {resolution: [64, 64]}
+bias: {constant: 1, slope: 1, normal_offset: 0}
+filter: {type: msm, radius: 1.5}
+"""
+
+
+def test_page_says_how_moments_of_cascades_are_drawn(tmp_path):
+    folder = export(tmp_path, SUN, "hlsl", "technique={type: cascades, count: 3}")
+    page = (folder / "README.md").read_text()
+    # The blur reads one texel on each side, and the moments are two wider.
+    assert "| 1 | `shadow_blur_rows(map, texel)` | the shadow map | 68 x 192 |" in page
+    assert "| 2 | `shadow_blur_columns(rows, texel)` | the target of pass 1 | 68 x 204 |" in page
+    assert "`texel`: `int2(int(at.x), height - 1 - int(at.y))`" in page
+    assert "| size in texels | 64 x 192, 3 layers of 64 x 64 |" in page
+    assert "shadow(map, moments, world_to_eye, eye_to_clip, position, normal, to_light, pixel, depth);" in page
+    matrices = json.loads((folder / "light.json").read_text())["shadow.hlsl"]
+    assert np.shape(matrices["eye_to_clip, depths from 0 to 1"]) == (3, 4, 4)
+    assert np.shape(matrices["world_to_eye"]) == (4, 4)
+
+
+@pytest.mark.exhaustive
+def test_page_says_how_a_warped_map_is_drawn(tmp_path):
+    kernel = "filter={type: random_disk, samples: 16, pattern_size: 4}"
+    folder = export(tmp_path, SUN, "wgsl", "technique={type: perspective_warp}", kernel)
+    page = (folder / "README.md").read_text()
+    assert "shadow(map, world_to_eye, eye_to_clip, warp, position, normal, to_light, pixel, depth);" in page
+    assert "clip + 0.5 * warp.x * (clip.y + clip.w) * vec4(warp.y, 1, 0, 1)" in page
+    assert len(json.loads((folder / "light.json").read_text())["shadow.wgsl"]["warp"]) == 2
+    ((name, buffer),) = json.loads((folder / "buffers.json").read_text()).items()
+    assert (name, buffer["group"], buffer["binding"], len(buffer["values"])) == ("SHADOW_PATTERN", 1, 0, 2 * 16 * 4**2)
+
+
+CONFIGS = {
+    "quickstart": (),
+    "room": (),
+    "corridor": ("technique={type: cascades, select: map, blend: 0.2}", "filter={type: pcf, radius: 2}"),
+    "street": ("filter={type: evsm, radius: 2}",),
+    "terrain": ("technique={type: perspective_warp}", "filter={type: pcss, light_size: 0.5, max_radius: 4}"),
+}
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("name", CONFIGS)
+def test_exports_of_configurations_compile_without_a_warning(name, tmp_path):
+    for tool in ("glslangValidator", "naga"):
+        if shutil.which(tool) is None:
+            pytest.skip(f"{tool} is not installed")
+    config = load_config(Path(__file__).parents[2] / f"configs/{name}.yaml", CONFIGS[name])
+    main = {"glsl": "void main() {}", "hlsl": "float4 main() : SV_Target { return 0; }", "wgsl": ""}
+    heads = {"glsl": "#version 300 es\nprecision highp float;\nprecision highp sampler2D;\n"}
+    compilers = {
+        "glsl": "glslangValidator -S frag",
+        "hlsl": "glslangValidator -D -S frag -e main -V -o /dev/null",
+        "wgsl": "naga",
+    }
+    for language, command in compilers.items():
+        folder = export_shader(config, tmp_path / language, language, console=Console(quiet=True))
+        for file in folder.glob(f"shadow*.{language}"):
+            whole = tmp_path / f"whole.{language}"
+            whole.write_text(heads.get(language, "") + file.read_text() + main[language])
+            ran = subprocess.run([*command.split(), whole], capture_output=True, text=True)
+            said = ran.stdout + ran.stderr
+            assert ran.returncode == 0, said
+            assert "warning" not in said.lower()
+
+
 def test_what_has_no_shader_is_refused_before_a_file_is_written(tmp_path):
-    with pytest.raises(ConfigError, match="VarianceShadowMap, which has no shader"):
-        export(tmp_path, LAMPS, "glsl", "filter.type=vsm")
+    with pytest.raises(ConfigError, match=r"IrregularZBuffer, which has no shader: .*; nearest comes"):
+        export(tmp_path, SUN, "glsl", "technique={type: irregular_z_buffer}")
+    with pytest.raises(ConfigError, match=r"map.silhouettes is true, .*: nearest comes a map of more texels"):
+        export(tmp_path, SUN, "glsl", "filter={type: pcf}", "shadow_map.silhouettes=true")
     assert not (tmp_path / "out").exists()
 
 

@@ -11,7 +11,7 @@ from ..._types import Scalar
 from ..._words import counted
 from ...settings.biases import Bias as Settings
 from .._receiver import Receiver
-from .._shader import ShaderBias, joined, number
+from .._shader import Constant, ShaderBias, ShaderPart, joined, number, numbers
 from ._abstract import AbstractBias, BiasTerms
 from ._constant import ConstantBias
 from ._normal_offset import NormalOffset
@@ -87,12 +87,16 @@ class Bias(AbstractBias):
         return terms if self.plane is None else terms + self.plane(receiver)
 
     def shader(self, prefix: str = "") -> ShaderBias:
-        if self.factors is not None:
-            raise ValueError("the bias has factors, which have no shader; expected a bias without: leave factors out")
         each = [self.constant, self.slope, self.normal_offset]
         parts = [part.shader(prefix) for part in each if not _is_zero(part)]
-        for name, part in (("TERMS_", self.terms), ("PLANE_", self.plane)):
-            parts += [] if part is None else [part.shader(prefix + name)]
+        parts += [] if self.terms is None else [self.terms.shader(f"{prefix}TERMS_")]
+        if self.factors is not None:
+            name = f"{prefix}FACTORS"
+            constant = Constant(name, numbers(jnp.stack(self.factors)), "of the bias in each of the map's layers")
+            scaled = lambda terms: tuple(f"SHADOW_{name}[at.layer] * ({term})" for term in terms)
+            parts = [part._replace(depths=scaled(part.depths), offsets=scaled(part.offsets)) for part in parts]
+            parts.append(ShaderBias(ShaderPart((constant,), "")))
+        parts += [] if self.plane is None else [self.plane.shader(f"{prefix}PLANE_")]
         return ShaderBias(
             joined(part.part for part in parts),
             tuple(depth for part in parts for depth in part.depths),

@@ -42,8 +42,8 @@ class AbstractFilter(CheckedModule):
         **Raises** `ValueError` if it has none.
         """
         raise ValueError(
-            f"the filter is of type {type(self).__name__}, which has no shader; expected Nearest, Bilinear, FourTap, "
-            "PercentageCloser, Tent, Castano, Separable, RandomDisk or PercentageCloserSoft"
+            f"the filter is of type {type(self).__name__}, which has no shader; expected one of this package's "
+            "filters, such as PercentageCloser"
         )
 
     @property

@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 from ..._arithmetic import as_number
 from ..._types import AsScalar, DepthMap, Visibility
 from ...settings.filters import ExponentialShadowMap as Settings
+from .._shader import Constant, ShaderPart, number
 from ._prefilter import AbstractPrefiltered
 
 
@@ -38,3 +39,7 @@ class ExponentialShadowMap(AbstractPrefiltered):
     def bound(self, moments: tuple[DepthMap, ...], receiver: DepthMap) -> Visibility:
         (stored,) = moments
         return jnp.exp(jnp.minimum(jnp.log(stored) + self.exponent * (1 - receiver), 0))
+
+    def shader(self) -> ShaderPart:
+        exponent = Constant("EXPONENT", number(self.exponent), "per linear depth")
+        return self.shader_of(exponent, files=("filters/_exponential.glsl",))

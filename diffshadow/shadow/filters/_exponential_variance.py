@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 from ..._arithmetic import as_number
 from ..._types import AsScalar, DepthMap, Scalar, Visibility
 from ...settings.filters import ExponentialVarianceShadowMap as Settings
+from .._shader import Constant, ShaderPart, number
 from ._prefilter import AbstractPrefiltered, chebyshev
 
 # Clamp on the log of moments relative to the receiver's: larger ones leave no bound, and their squares would overflow.
@@ -65,3 +66,12 @@ class ExponentialVarianceShadowMap(AbstractPrefiltered):
         variance = jnp.maximum(square - mean * mean, least)
         sign = jnp.sign(exponent)
         return chebyshev(sign * mean, variance, sign * jnp.ones_like(mean))
+
+    def shader(self) -> ShaderPart:
+        constants = (
+            Constant("POSITIVE_EXPONENT", number(self.positive_exponent), "of the upper warp"),
+            Constant("NEGATIVE_EXPONENT", number(self.negative_exponent), "of the lower warp"),
+            Constant("LEAST_VARIANCE", number(self.least_variance), "of linear depth"),
+            Constant("MAX_LOG_MOMENT", _MAX_LOG_MOMENT, "clamp on the log of moments"),
+        )
+        return self.shader_of(*constants, files=("filters/_chebyshev.glsl", "filters/_exponential_variance.glsl"))

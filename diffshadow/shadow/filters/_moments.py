@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 from ..._arithmetic import as_number, safe_divide, safe_sqrt
 from ..._types import AsScalar, DepthMap, Visibility
 from ...settings.filters import MomentShadowMap as Settings
+from .._shader import Constant, ShaderPart, number
 from ._prefilter import AbstractPrefiltered
 
 # Moments of the weights 3/16, 5/8 and 3/16 at -1, 0 and 1: far from the moments of any two depths.
@@ -48,6 +49,14 @@ class MomentShadowMap(AbstractPrefiltered):
             b + self.moment_bias * (target - b) for b, target in zip(moments, _WELL_CONDITIONED, strict=True)
         )
         return jnp.clip(1 - _least_shadow(biased, 2 * receiver - 1), 0, 1)
+
+    def shader(self) -> ShaderPart:
+        constants = (
+            Constant("MOMENT_BIAS", number(self.moment_bias), "weight of a broad distribution's moments"),
+            Constant("ROUNDING", _ROUNDING, "of a variance that is 0"),
+            Constant("ALMOST_LINEAR", _ALMOST_LINEAR, "least leading coefficient of a quadratic"),
+        )
+        return self.shader_of(*constants, files=("filters/_moments.glsl",))
 
 
 def _least_shadow(b: tuple[DepthMap, ...], z: DepthMap) -> Visibility:

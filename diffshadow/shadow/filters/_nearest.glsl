@@ -1,3 +1,3 @@
-float shadow_filter(sampler2D map, ShadowLookup at) {
+float shadow_filter(SHADOW_MAPS, ShadowLookup at) {
     return shadow_nearest_tap(map, at, at.texel);
 }

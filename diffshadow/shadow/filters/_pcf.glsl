@@ -4,7 +4,7 @@ float shadow_covered(float edge, float number) {
     return clamp(edge + 2.0 * SHADOW_RADIUS - number, low, 1.0) - low;
 }
 
-float shadow_filter(sampler2D map, ShadowLookup at) {
+float shadow_filter(SHADOW_MAPS, ShadowLookup at) {
     vec2 own = floor(at.texel);
     vec2 corner = at.texel - own - vec2(SHADOW_RADIUS, SHADOW_RADIUS);
     vec2 first = floor(corner);

@@ -1,13 +1,3 @@
-// Distance along the light's axis, in world units, of a window depth.
-float shadow_distance(float depth) {
-    float d = clamp(depth, 0.0, 1.0);
-    float span = SHADOW_FAR - SHADOW_NEAR;
-    if (SHADOW_PERSPECTIVE) {
-        return SHADOW_NEAR * SHADOW_FAR / (SHADOW_FAR - d * span);
-    }
-    return SHADOW_NEAR + d * span;
-}
-
 // Half the width of the light's image through a blocker, in texels along the map's x and y.
 vec2 shadow_penumbra(ShadowLookup at, float receiver, float blocker) {
     float width = max(receiver - blocker, 0.0) * SHADOW_LIGHT_SIZE;
@@ -25,7 +15,7 @@ vec2 shadow_blocker(sampler2D map, ShadowLookup at, ivec2 texel, float weight) {
     return vec2(blocks, blocks * shadow_stored(map, at.layer, texel));
 }
 
-float shadow_filter(sampler2D map, ShadowLookup at) {
+float shadow_filter(SHADOW_MAPS, ShadowLookup at) {
     float turn = 6.28318531 * shadow_noise(at.pixel);
     float receiver = shadow_distance(at.depth);
     vec2 search = min(shadow_penumbra(at, receiver, SHADOW_NEAR), vec2(SHADOW_MAX_RADIUS, SHADOW_MAX_RADIUS));

@@ -74,7 +74,8 @@ class PercentageCloserSoft(AbstractFilter):
             *constants_of_pattern(self.search, "SEARCH_"),
             *constants_of_pattern(self.pattern, ""),
         )
-        return ShaderPart(constants, text_of("kernels/_taps.glsl", "_patterns.glsl", "filters/_pcss.glsl"))
+        files = "kernels/_taps.glsl", "_patterns.glsl", "filters/_distance.glsl", "filters/_pcss.glsl"
+        return ShaderPart(constants, text_of(*files))
 
     def find_blockers(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> "BlockerSearch":
         """The result of the blocker search."""

@@ -18,6 +18,7 @@ from ...settings.filters import Shape
 from .._compare import AbstractCompare
 from .._lookup import Lookup
 from .._map import ShadowMap
+from .._shader import Constant, ShaderPart, number, numbers, text_of
 from ..kernels import Blur, bilinear_fetch, check_radius, limit_radius
 from ._abstract import AbstractFilter
 
@@ -75,7 +76,7 @@ class AbstractPrefiltered(AbstractFilter):
         check_radius(self)
 
     def __call__(self, shadow_map: ShadowMap, lookup: Lookup, compare: AbstractCompare) -> Visibility:
-        blur = Blur(self.radius, self.max_radius, self.kernel)
+        blur = self._blur
         moments_at = lambda depth: self.moments(linear_depth(shadow_map, depth))
         found = shadow_map.silhouettes
         of_map = moments_at(shadow_map.depth) if found is None else found.mean_of(moments_at, shadow_map.depth)
@@ -84,6 +85,24 @@ class AbstractPrefiltered(AbstractFilter):
         moments = tuple(fetch(blur(values, beyond)) for values, beyond in zip(of_map, of_nothing, strict=True))
         bound = self.bound(moments, linear_depth(shadow_map, lookup.depth))
         return reduce_light_bleeding(bound, self.light_bleeding)
+
+    def shader_of(self, *constants: Constant, files: tuple[str, ...]) -> ShaderPart:
+        """The shader's part with these constants, whose functions `shadow_moments` and `shadow_bound` are in `files` of
+        `shadow`. It reads the texture `moments`, which its functions `shadow_blur_rows` and `shadow_blur_columns`
+        draw."""
+        blur = self._blur
+        each = (
+            Constant("LIGHT_BLEEDING", number(self.light_bleeding), "visibility up to which receivers are dark"),
+            Constant("BLUR_MARGIN", blur.margin, "texels by which moments are wider than the map on each side"),
+            Constant("BLUR_TEXELS", 2 * blur.reach + 1, "along a row or a column, that a blur reads"),
+            Constant("BLUR", numbers(blur.weights), "their weights"),
+        )
+        text = text_of("filters/_distance.glsl", *files, "filters/_prefilter.glsl")
+        return ShaderPart((*each, *constants), text, ("moments",))
+
+    @property
+    def _blur(self) -> Blur:
+        return Blur(self.radius, self.max_radius, self.kernel)
 
     @abc.abstractmethod
     def moments(self, depth: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], ...]:

@@ -17,7 +17,7 @@ float shadow_mean_of_taps(sampler2D map, ShadowLookup at, int first, int last) {
     return lit / float(last - first);
 }
 
-float shadow_filter(sampler2D map, ShadowLookup at) {
+float shadow_filter(SHADOW_MAPS, ShadowLookup at) {
     if (SHADOW_EARLY_SAMPLES == 0) {
         return shadow_mean_of_taps(map, at, 0, SHADOW_SAMPLES);
     }

@@ -1,5 +1,5 @@
 // SHADOW_WEIGHTS are the weights of bilinear compares one texel apart along an axis, between two zeros.
-float shadow_filter(sampler2D map, ShadowLookup at) {
+float shadow_filter(SHADOW_MAPS, ShadowLookup at) {
     vec2 corner = floor(at.texel - vec2(0.5, 0.5));
     vec2 t = at.texel - vec2(0.5, 0.5) - corner;
     int reach = SHADOW_TEXELS / 2 - 1;

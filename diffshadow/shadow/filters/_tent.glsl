@@ -9,7 +9,7 @@ float shadow_tent(float low, float high) {
     return max(shadow_tent_until(high / SHADOW_RADIUS) - shadow_tent_until(low / SHADOW_RADIUS), 0.0);
 }
 
-float shadow_filter(sampler2D map, ShadowLookup at) {
+float shadow_filter(SHADOW_MAPS, ShadowLookup at) {
     vec2 own = floor(at.texel);
     vec2 within = at.texel - own;
     vec2 first = floor(within - vec2(SHADOW_MAX_RADIUS, SHADOW_MAX_RADIUS));

@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 from ..._arithmetic import as_number
 from ..._types import AsScalar, DepthMap, Visibility
 from ...settings.filters import VarianceShadowMap as Settings
+from .._shader import Constant, ShaderPart, number
 from ._prefilter import AbstractPrefiltered, chebyshev
 
 
@@ -38,3 +39,7 @@ class VarianceShadowMap(AbstractPrefiltered):
     def bound(self, moments: tuple[DepthMap, ...], receiver: DepthMap) -> Visibility:
         mean, square = moments
         return chebyshev(mean, jnp.maximum(square - mean * mean, self.least_variance), receiver - 0.5)
+
+    def shader(self) -> ShaderPart:
+        least = Constant("LEAST_VARIANCE", number(self.least_variance), "of linear depth")
+        return self.shader_of(least, files=("filters/_chebyshev.glsl", "filters/_variance.glsl"))

@@ -9,6 +9,7 @@ from ..._checks import CheckedModule
 from ..._types import Resolution
 from ...geometry import AbstractCamera, AbstractLight
 from ...raster import Surface
+from .._shader import ShaderPart
 from ._figures import LayerFigure, MapFigure
 
 
@@ -75,6 +76,16 @@ class AbstractLayout(CheckedModule):
     @abc.abstractmethod
     def choose(self, light: AbstractLight, points: Float[Array, "h w 3"]) -> Choice:
         """The layers that `points` (h, w, 3), in world units, are looked up in; `light` is as `light` returns it."""
+
+    def shader(self, light: AbstractLight) -> ShaderPart:
+        """The function `shadow` of a shader, for maps of `light`, which is as `light` returns it.
+
+        **Raises** `ValueError` if it has none.
+        """
+        raise ValueError(
+            f"the layout is {type(self).__name__}, whose pages have no shader; expected SingleMap, Cascades or "
+            "PerspectiveWarp: cascades selected by map come nearest"
+        )
 
     def map_figure(self, light: AbstractLight) -> MapFigure | None:
         """How a figure names the layers of the map of `light`; none if they need no names."""

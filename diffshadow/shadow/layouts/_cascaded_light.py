@@ -14,8 +14,8 @@ from ...settings.techniques import CascadeSelection
 from ._abstract import Choice
 from ._fitted_light import AbstractFittedLight
 
-# The least share of a slice over which cascades are blended: 1 / blend has to be finite.
-_MIN_BLEND = 1e-6
+MIN_BLEND = 1e-6
+"""The least share of a slice over which cascades are blended: 1 / blend has to be finite."""
 
 
 class CascadedLight(AbstractFittedLight):
@@ -108,7 +108,7 @@ class CascadedLight(AbstractFittedLight):
         else:
             last = last | (self.to_border(points, other) < 0)
             from_end = self.to_border(points, layer)
-        weight = jnp.clip(from_end / jnp.maximum(blend, _MIN_BLEND), 0, 1)
+        weight = jnp.clip(from_end / jnp.maximum(blend, MIN_BLEND), 0, 1)
         return Choice(layer, other, jnp.where(last, 1, weight), strength)
 
     def _strength(self, depth: Float[Array, "h w"], fade: float) -> Float[Array, "h w"]:

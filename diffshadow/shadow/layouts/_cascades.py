@@ -18,8 +18,9 @@ from ...raster import SUBPIXELS, Surface
 from ...settings.quantities import MAX_TEXELS
 from ...settings.techniques import CascadeFit, CascadeSelection, DepthRange
 from ...settings.techniques import Cascades as Settings
+from .._shader import Constant, ShaderPart, number, numbers, text_of
 from ._abstract import Choice
-from ._cascaded_light import CascadedLight
+from ._cascaded_light import MIN_BLEND, CascadedLight
 from ._figures import LayerFigure, MapFigure
 from ._fitted import AbstractFittedLayout, check_depths, margin_of
 from ._frustum import ViewFrustum, depths_of
@@ -217,8 +218,30 @@ class Cascades(AbstractFittedLayout):
 
     def choose(self, light: AbstractLight, points: Float[Array, "h w 3"]) -> Choice:
         assert isinstance(light, CascadedLight)
-        ends = self.shadow_distance is not None or self.distances is not None
-        return light.choose(points, None if self.max_blend == 0 else self.blend, self.fade if ends else None)
+        return light.choose(points, None if self.max_blend == 0 else self.blend, self.fade if self._ends else None)
+
+    def shader(self, light: AbstractLight) -> ShaderPart:
+        assert isinstance(light, CascadedLight)
+        begins = jnp.concatenate([light.begins[:1], light.ends[:-1]])
+        sides = jnp.zeros(light.count) if light.sides is None else light.sides
+        fade = max(self.fade, _ROUNDING) * number(light.ends[-1] - begins[-1])
+        constants = (
+            Constant("BEGINS", numbers(begins), "of each cascade's slice, distance along the camera's axis"),
+            Constant("ENDS", numbers(light.ends), "of each slice; both change with the camera's near and far"),
+            Constant("SIDES", numbers(sides), "of each cascade in texels; 0 where it fills its layer"),
+            Constant("CASCADE_MARGIN", float(self.margin), "within which a cascade is not selected by map, in texels"),
+            Constant("SELECTS_BY_MAP", light.select == "map", "whether the first cascade that contains a point is its"),
+            Constant("BLENDS", self.max_blend != 0, "whether a cascade fades into the next"),
+            Constant("BLEND", max(number(self.blend), MIN_BLEND), "over which part of a slice, or of a half width"),
+            Constant("ENDS_SHADOWS", self._ends, "whether there are no shadows beyond the last slice"),
+            Constant("FADE", fade, "over which depth shadows fade out there, in world units"),
+        )
+        return ShaderPart(constants, text_of("layouts/_cascades.glsl"))
+
+    @property
+    def _ends(self) -> bool:
+        """Whether there are no shadows beyond the last slice."""
+        return self.shadow_distance is not None or self.distances is not None
 
     def remarks(self, light: AbstractLight) -> tuple[str, ...]:
         """That stabilized cascades are not stable, since their slices move."""

@@ -1,6 +1,7 @@
 """One map for the whole scene."""
 
-from ...geometry import AbstractLight
+from ...geometry import AbstractLight, PointLight
+from .._shader import ShaderPart, text_of
 from ._abstract import AbstractLayout, Choice
 
 
@@ -12,3 +13,7 @@ class SingleMap(AbstractLayout):
 
     def choose(self, light, points) -> Choice:
         return Choice(light.layer(points))
+
+    def shader(self, light) -> ShaderPart:
+        faces = ["_cube.glsl"] if isinstance(light, PointLight) else []
+        return ShaderPart((), text_of(*faces, "layouts/_single.glsl"))

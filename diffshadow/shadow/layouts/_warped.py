@@ -15,6 +15,7 @@ from ...geometry import AbstractCamera, AbstractLight, View, Warp, transform_poi
 from ...raster import Surface
 from ...settings.techniques import DepthRange, WarpMethod
 from ...settings.techniques import PerspectiveWarp as Settings
+from .._shader import Constant, ShaderPart, number, text_of
 from ._abstract import Choice
 from ._fitted import AbstractFittedLayout, margin_of
 from ._frustum import ViewFrustum, depths_of
@@ -129,6 +130,15 @@ class PerspectiveWarp(AbstractFittedLayout):
         if self.shadow_distance is None:
             return Choice(None)
         return Choice(None, strength=jnp.where(light.reaches(points), 1.0, 0.0))
+
+    def shader(self, light: AbstractLight) -> ShaderPart:
+        assert isinstance(light, WarpedLight)
+        ends = self.shadow_distance is not None
+        constants = (
+            Constant("ENDS_SHADOWS", ends, "whether there are no shadows beyond the shadow distance"),
+            Constant("END", number(light.end), "the shadow distance, along the camera's axis in world units"),
+        )
+        return ShaderPart(constants, text_of("layouts/_warped.glsl"))
 
 
 class _Axes(NamedTuple):

@@ -6,7 +6,10 @@ Parts of shaders are written in GLSL, by rules that let each line be turned into
 - numbers have a decimal point where a float is meant, and vectors are made of as many numbers as they have;
 - parameters are not assigned to, and vectors are assigned whole;
 - `shadow_select(no, yes, condition)` stands for `?:`; matrices are multiplied by `shadow_times`;
-- a map is a `sampler2D` that is handed on, read by `shadow_fetch` and measured by `shadow_size`.
+- a map is a `sampler2D` that is handed on, read by `shadow_fetch` and measured by `shadow_size`;
+- another texture is a `ShadowTexture`, read by `shadow_texel`;
+- `SHADOW_MAPS` stands for the parameters, and `shadow_maps` for the arguments, of the map and all other textures;
+- what has a name of its own begins with `shadow`, `SHADOW_` or `Shadow`, for `renamed`.
 """
 
 import re
@@ -15,7 +18,7 @@ from typing import NamedTuple
 
 from .._shader import Constant, text_of
 
-_TYPES = ("bool", "float", "int", "vec2", "vec3", "vec4", "ivec2", "mat4", "sampler2D")
+_TYPES = ("bool", "float", "int", "vec2", "vec3", "vec4", "ivec2", "mat4", "sampler2D", "ShadowTexture")
 _NAME = r"[A-Za-z_]\w*"
 
 
@@ -26,6 +29,7 @@ class Language(NamedTuple):
     - `array`: the declaration of an array of floats, from its name, its length and its values.
     - `scalar`: the declaration of a number, from its type, its name and its value.
     - `translate`: functions of the parts of shaders in this language.
+    - `texture`: the type of a texture that is not a map.
     """
 
     name: str
@@ -33,11 +37,12 @@ class Language(NamedTuple):
     array: Callable[[str, int, str], str]
     scalar: Callable[[str, str, str], str]
     translate: Callable[[str], str]
+    texture: str
 
     @property
     def prelude(self) -> str:
         """Functions that differ between languages."""
-        return text_of(f"shaders/prelude.{self.suffix}")
+        return text_of(f"shaders/prelude.{self.suffix}").replace("ShadowTexture", self.texture)
 
     def constant(self, constant: Constant) -> str:
         """The declaration of a constant, with a comment."""
@@ -47,6 +52,19 @@ class Language(NamedTuple):
         kind = "bool" if isinstance(value, bool) else "int" if isinstance(value, int) else "float"
         text = str(value).lower() if kind == "bool" else str(value) if kind == "int" else _float(value)
         return f"{self.scalar(kind, name, text)}  // {constant.about}"
+
+    def buffer(self, constant: Constant, binding: int) -> str:
+        """The declaration of an array of WGSL as a storage buffer of group 1, with a comment."""
+        return (
+            f"// {constant.about}\n@group(1) @binding({binding}) var<storage, read> SHADOW_{constant.name}: array<f32>;"
+        )
+
+
+def renamed(text: str, name: str) -> str:
+    """The text of a shader whose function is called `name`, and whose other names begin with it."""
+    kinds = {"shadow": name, "SHADOW_": f"{name.upper()}_", "Shadow": "".join(map(str.capitalize, name.split("_")))}
+    own = r"\b(shadow)(?=\(|_\w)|\b(SHADOW_)(?=\w)|\b(Shadow)(?=[A-Z])"
+    return re.sub(own, lambda found: kinds[found[0]], text)
 
 
 def _float(value: float) -> str:
@@ -60,6 +78,7 @@ _HLSL = {
     "ivec2": "int2",
     "mat4": "float4x4",
     "sampler2D": "Texture2D<float>",
+    "ShadowTexture": "Texture2D<float4>",
     "mix": "lerp",
     "fract": "frac",
 }
@@ -69,6 +88,7 @@ _WGSL_TYPES = {
     "ivec2": "vec2i",
     "mat4": "mat4x4f",
     "sampler2D": "texture_depth_2d",
+    "ShadowTexture": "texture_2d<f32>",
     **{f"vec{n}": f"vec{n}f" for n in (2, 3, 4)},
 }
 
@@ -81,15 +101,16 @@ def _to_wgsl(text: str) -> str:
     structs = re.findall(rf"^struct ({_NAME}) ", text, re.MULTILINE)
     kind = "|".join((*_TYPES, *structs))
     of = lambda name: _WGSL_TYPES.get(name, name)
+    of_length = lambda name, length: of(name) if length is None else f"array<{of(name)}, {length}>"
 
     def head(found: re.Match[str]) -> str:
-        parameters = (parameter.split(" ") for parameter in found[3].split(", "))
-        return f"fn {found[2]}({', '.join(f'{name}: {of(kind)}' for kind, name in parameters)}) -> {of(found[1])} {{"
+        parameters = (re.fullmatch(r"(\w+) (\w+)(?:\[(\w+)\])?", each) for each in found[3].split(", "))
+        typed = [f"{each[2]}: {of_length(each[1], each[3])}" for each in parameters if each is not None]
+        return f"fn {found[2]}({', '.join(typed)}) -> {of(found[1])} {{"
 
     def declaration(found: re.Match[str]) -> str:
         indent, each, name, length, value = found.groups()
-        declared = of(each) if length is None else f"array<{of(each)}, {length}>"
-        return f"{indent}var {name}: {declared}{'' if value is None else f' = {value}'};"
+        return f"{indent}var {name}: {of_length(each, length)}{'' if value is None else f' = {value}'};"
 
     lines = []
     within_struct = False
@@ -117,7 +138,8 @@ LANGUAGES: Mapping[str, Language] = {
         "glsl",
         lambda name, length, values: f"const float {name}[{length}] = float[{length}]({values});",
         lambda kind, name, value: f"const {kind} {name} = {value};",
-        lambda text: text,
+        lambda text: text.replace("ShadowTexture", "sampler2D"),
+        "sampler2D",
     ),
     "wgsl": Language(
         "WGSL",
@@ -125,6 +147,7 @@ LANGUAGES: Mapping[str, Language] = {
         lambda name, length, values: f"var<private> {name} = array<f32, {length}>({values});",
         lambda kind, name, value: f"const {name}: {_WGSL_TYPES.get(kind, kind)} = {value};",
         _to_wgsl,
+        _WGSL_TYPES["ShadowTexture"],
     ),
     "hlsl": Language(
         "HLSL",
@@ -132,6 +155,7 @@ LANGUAGES: Mapping[str, Language] = {
         lambda name, length, values: f"static const float {name}[{length}] = {{{values}}};",
         lambda kind, name, value: f"static const {kind} {name} = {value};",
         _to_hlsl,
+        _HLSL["ShadowTexture"],
     ),
 }
 """By the name that `to_shader` takes: GLSL 3.30 and ES 3.00, WGSL, and HLSL of shader model 5."""

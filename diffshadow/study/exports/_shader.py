@@ -1,6 +1,7 @@
 """Exports a technique as a shader, with what a renderer must set around it."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from ...settings.techniques import ShaderLanguage
 from ..pages._page import write_page
 from ._page import PAGE, Compared, check_page, write_shader_page
 
-README, SCENE, MATRICES = "README.md", "scene.glb", "light.json"
+README, SCENE, MATRICES, BUFFERS = "README.md", "scene.glb", "light.json", "buffers.json"
 
 # What each format is called: by OpenGL, WebGPU and Direct3D.
 _FORMATS = {
@@ -38,23 +39,28 @@ _LANGUAGES = {
     "wgsl": "WGSL (WebGPU)",
     "hlsl": "HLSL (shader model 5)",
 }
-_CALL = "shadow(map, world_to_eye, eye_to_clip, position, normal, to_light, pixel, 0);"
 _CALLS = {
     "glsl": (
         "vec3 normal = normalize(cross(dFdx(position), dFdy(position)));",
         "vec2 pixel = floor(gl_FragCoord.xy);",
-        f"float lit = {_CALL}",
+        "float lit = {call};",
     ),
     "wgsl": (
         "let normal = normalize(cross(dpdy(position), dpdx(position)));",
         "let pixel = vec2f(floor(at.x), height - 1 - floor(at.y));  // at is @builtin(position)",
-        f"let lit = {_CALL}",
+        "let lit = {call};",
     ),
     "hlsl": (
         "float3 normal = normalize(cross(ddy(position), ddx(position)));",
         "float2 pixel = float2(floor(at.x), height - 1 - floor(at.y));  // at is SV_Position",
-        f"float lit = {_CALL}",
+        "float lit = {call};",
     ),
+}
+# Where a pass draws, counted from the lower left texel of its target.
+_TEXELS = {
+    "glsl": "ivec2(gl_FragCoord.xy)",
+    "wgsl": "vec2i(i32(at.x), height - 1 - i32(at.y))",
+    "hlsl": "int2(int(at.x), height - 1 - int(at.y))",
 }
 
 
@@ -81,11 +87,15 @@ def export_shader(
     `FileError` if a file cannot be written.
     """
     technique, scene = build_technique(config, fitting=False), build_scene(config)
-    shaders = {}
+    shaders, buffers = {}, {}
     try:
         for number, light in enumerate(scene.lights):
             name = "shadow" if len(scene.lights) == 1 else f"shadow_{number}"
-            shaders[f"{name}.{language}"] = light, shadow.to_shader(technique, light, language)
+            if isinstance(technique, shadow.ShadowMapping):
+                light = technique.light_of_map(scene.lit_by(number))
+            shaders[f"{name}.{language}"] = light, shadow.to_shader(technique, light, language, name, len(buffers))
+            for variable, values in shadow.shader_buffers(technique, light, language, name).items():
+                buffers[variable] = {"group": 1, "binding": len(buffers), "values": values.tolist()}
         assert isinstance(technique, shadow.ShadowMapping)
         if compared is not None:
             check_page(config, scene, technique)
@@ -95,7 +105,10 @@ def export_shader(
     title = f"{config.name}: {origin}" if origin else config.name
     matrices = {name: _matrices(light) for name, (light, _) in shaders.items()}
     texts = {name: f"// {title}\n{text}" for name, (_, text) in shaders.items()}
-    for name, text in {**texts, MATRICES: json.dumps(matrices, indent=2) + "\n"}.items():
+    texts[MATRICES] = json.dumps(matrices, indent=2) + "\n"
+    if buffers:
+        texts[BUFFERS] = json.dumps(buffers) + "\n"
+    for name, text in texts.items():
         with io.atomic_path(folder / name) as temporary:
             temporary.write_text(text, encoding="utf-8")
     write_page(
@@ -104,8 +117,16 @@ def export_shader(
         title=title,
         language=_LANGUAGES[language],
         suffix=language,
-        call=_CALLS[language],
-        rows=_rows(technique.map, scene),
+        call=[line.format(call=_call(technique, next(iter(shaders)))) for line in _CALLS[language]],
+        rows=_rows(technique.layers, [light for light, _ in shaders.values()]),
+        passes=_passes(technique, [light for light, _ in shaders.values()]),
+        texel=_TEXELS[language],
+        margin=_constant(technique, "BLUR_MARGIN"),
+        layout=type(technique.layout).__name__,
+        sides=_sides(next(iter(shaders.values()))[0]),
+        function=Path(next(iter(shaders))).stem,
+        constants=f"{Path(next(iter(shaders))).stem.upper()}_",
+        buffers=BUFFERS if buffers else "",
         layer=_LAYERS.get(technique.map.depth_layer),
         ways={name: _way_of(light) for name, (light, _) in shaders.items()},
         origin=", ".join(f"{float(x):.9g}" for x in scene.origin) if np.any(scene.origin) else "",
@@ -113,7 +134,7 @@ def export_shader(
         scene=SCENE,
     )
     io.write_gltf(folder / SCENE, scene)
-    files = [*shaders, MATRICES, README, SCENE]
+    files = [*texts, README, SCENE]
     if compared is not None:
         for remark in write_shader_page(folder / PAGE, config, scene, technique, compared, title):
             console.print(Text(remark), soft_wrap=True)
@@ -122,8 +143,47 @@ def export_shader(
     return folder
 
 
+def _call(technique: shadow.ShadowMapping, file: str) -> str:
+    """How the function of this file is called."""
+    maps = ["map", *technique.filter.shader().textures]
+    warp = ["warp"] if isinstance(technique.layout, shadow.PerspectiveWarp) else []
+    last = "0" if isinstance(technique.layout, shadow.SingleMap) else "depth"
+    each = [*maps, "world_to_eye", "eye_to_clip", *warp, "position", "normal", "to_light", "pixel", last]
+    return f"{Path(file).stem}({', '.join(each)})"
+
+
+def _passes(technique: shadow.ShadowMapping, lights: Sequence[geometry.AbstractLight]) -> tuple[str, ...]:
+    """The sizes of the targets of the two passes that blur the map, width x height in texels; none without a blur."""
+    margin = _constant(technique, "BLUR_MARGIN")
+    if margin is None:
+        return ()
+    height, width = technique.layers.resolution
+    beyond = 2 * margin
+    counts = sorted(set(map(_layers, lights)))
+    return tuple(
+        "; ".join(f"{width + beyond} x {count * high}" for count in counts) for high in (height, height + beyond)
+    )
+
+
+def _constant(technique: shadow.ShadowMapping, name: str) -> Any:
+    """A constant of the filter's shader; none if it has none of this name."""
+    return next((each.value for each in technique.filter.shader().constants if each.name == name), None)
+
+
+def _sides(light: geometry.AbstractLight) -> str:
+    """The sides of cascades of several sizes, in texels."""
+    tile = light.view().tile
+    return "" if tile is None else ", ".join(str(int(side)) for side in tile.size)
+
+
+def _layers(light: geometry.AbstractLight) -> int:
+    """How many layers the light's map has."""
+    view = light.view()
+    return max([len(matrix) for matrix in (view.world_to_eye, view.eye_to_clip) if matrix.ndim > 2], default=1)
+
+
 def _matrices(light: geometry.AbstractLight) -> dict[str, list[Any]]:
-    """The light's matrices, row by row, for column vectors; of a point light, one for each face."""
+    """The light's matrices, row by row, for column vectors; of a point light or of cascades, one for each layer."""
     view = light.view()
     projection = np.asarray(view.eye_to_clip, np.float64)
     halved = np.diag([1.0, 1.0, 0.5, 1.0])
@@ -133,14 +193,18 @@ def _matrices(light: geometry.AbstractLight) -> dict[str, list[Any]]:
         "eye_to_clip, depths from -1 to 1": projection,
         "eye_to_clip, depths from 0 to 1": halved @ projection,
     }
+    if view.warp is not None:
+        each["warp"] = np.array([view.warp.strength, view.warp.center], np.float64)
     return {name: matrix.tolist() for name, matrix in each.items()}
 
 
-def _rows(settings: shadow.MapSettings, scene: geometry.Scene) -> dict[str, tuple[str, ...]]:
+def _rows(settings: shadow.MapSettings, lights: Sequence[geometry.AbstractLight]) -> dict[str, tuple[str, ...]]:
     """What a renderer sets for the map: in OpenGL, in WebGPU and in Direct3D 11."""
     height, width = settings.resolution
-    is_cube = [isinstance(light, geometry.PointLight) for light in scene.lights]
-    sizes = f"{width} x {height}" + (f"; {width} x {6 * height} for a point light" if any(is_cube) else "")
+    sizes = "; ".join(
+        f"{width} x {count * height}" + (f", {count} layers of {width} x {height}" if count > 1 else "")
+        for count in sorted(set(map(_layers, lights)))
+    )
     offset = ("none",) * 3
     if settings.polygon_offset is not None:
         factor, units = settings.polygon_offset
