@@ -5,7 +5,7 @@
 # bias. A fit replaces it by a soft compare, whose width shrinks from phase to phase, and walks down each phase's own
 # landscape in turn. This notebook draws these landscapes, the solver's path on each, and the hard one that judges.
 
-# %%
+# %% tags=["hide-input"]
 import os
 
 import equinox as eqx
@@ -75,7 +75,7 @@ landscape = {
     for name, compare in compares.items()
 }
 
-# %%
+# %% tags=["picture"]
 figure, axes = plt.subplots(2, 2, figsize=(9.2, 7.2), sharex=True, sharey=True)
 norm = LogNorm(min(z.min() for z in landscape.values()), max(z.max() for z in landscape.values()))
 steps = {name: [s.values for s in result.history if s.phase == i] for i, name in enumerate(compares)}

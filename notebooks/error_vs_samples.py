@@ -8,7 +8,7 @@
 # The same question at full size, over three scenes, is `diffshadow sweep configs/error_vs_samples.yaml`. Here a part of
 # that sweep runs in the notebook.
 
-# %%
+# %% tags=["hide-input"]
 import json
 import os
 import tempfile
@@ -90,7 +90,7 @@ for n in SAMPLES[:: len(SAMPLES) - 1]:
     slopes[f"RMSE, {n} taps"] = at.groupby("filter.pattern").rmse_to_limit.apply(rms)
 slopes.round(4)
 
-# %%
+# %% tags=["picture"]
 figure, axes = plt.subplots(1, 2, figsize=(11, 4.2), sharey=True)
 styles = dict(zip(PATTERNS, zip("osD^vP", ("-", "-", "-", "--", "--", "--"))))
 for pattern, (marker, dash) in styles.items():

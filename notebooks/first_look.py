@@ -5,7 +5,7 @@
 # scene is built by hand, its shadow drawn and ray traced, and bias and filter radius are fitted to the truth: ten
 # cells of code.
 
-# %%
+# %% tags=["hide-input"]
 import os
 
 import jax.numpy as jnp
@@ -105,7 +105,7 @@ for name, image in {"before": before, "after": after}.items():
         f"false shadow {errors.false_shadow_rate:.2%}   false light {errors.false_light_rate:.2%} of light"
     )
 
-# %%
+# %% tags=["picture"]
 figure, axes = plt.subplots(1, 3, figsize=(11, 3.6))
 axes[0].imshow(after, vmin=0, vmax=1)
 axes[0].set_title("after: visibility")

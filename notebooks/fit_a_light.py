@@ -5,7 +5,7 @@
 # anew at every step, and the motion of the shadow's outline has a gradient: the map stores where, within a texel, its
 # casters end. The fit compares images under a wide blur and then under narrower ones, whose landscapes are smooth and rough.
 
-# %%
+# %% tags=["hide-input"]
 import dataclasses
 import os
 
@@ -60,7 +60,7 @@ for phase in result.phases:
 # The *deviation* is the standard deviation that the pixels' residuals give the value, to first order. Neighbours on an
 # outline are correlated, and it counts that; `experiments/coverage.py` measures how often the truth lies within it.
 
-# %%
+# %% tags=["picture"]
 problem, where = result.problems[0], [p.where for p in plan.parameters]
 
 

@@ -5,7 +5,7 @@
 # mesh's pose and by all of its vertices. Each gradient is drawn over the shadow: orange pixels get lighter as the number
 # grows, purple ones darker. `docs/gradients.md` says which gradients are exact, and what has none.
 
-# %%
+# %% tags=["hide-input"]
 import dataclasses
 import os
 
@@ -65,7 +65,7 @@ def soft(bias, radius, width):
 
 gradients, image = jax.jit(jax.jacfwd(soft, argnums=(0, 1, 2), has_aux=True))(1.0, 2.0, 0.5)
 
-# %%
+# %% tags=["picture"]
 names = "by bias [1/texel]", "by radius [1/texel]", "by width [1/texel]"
 draw_over(image, dict(zip(names, gradients)))
 

@@ -5,7 +5,7 @@
 # give up? This notebook fits a bias and a filter radius to ten meshes under fifteen suns, all at once, and measures them
 # under fifteen other suns. At the end a small network chooses a bias for each point instead.
 
-# %%
+# %% tags=["hide-input"]
 import dataclasses
 import json
 import os
@@ -96,7 +96,7 @@ pd.DataFrame(rows).T.round(4)
 # **How sure.** Each curve is the error along one parameter, with the others fitted again at every point. The bands are
 # where it stays within 1 % and 5 % of the best.
 
-# %%
+# %% tags=["picture"]
 figure, axes = plt.subplots(1, 3, figsize=(10, 3), sharey=True)
 for ax, (name, profile) in zip(axes, mean["profiles"].items(), strict=True):
     best = profile["best"]["error"]

@@ -4,7 +4,7 @@
 # A ball hangs before two walls, with a light for each. Every vertex of it is moved until its shadow on one wall is a heart,
 # and on the other a star. Nothing says what the sculpture looks like: the gradient comes from the shadows' outlines alone.
 
-# %%
+# %% tags=["hide-input"]
 import os
 
 import matplotlib.pyplot as plt
@@ -93,7 +93,7 @@ for row, (kind, target) in enumerate(pictures.items()):
 # %% [markdown]
 # **The sculpture** before its walls, ray traced. Each wall is lit by its own light, which only grazes the other wall.
 
-# %%
+# %% tags=["picture"]
 def room(mesh, side=110 if SMALL else 420, fine=2):
     """A picture of the sculpture and its shadows on both walls."""
     camera = geometry.PinholeCamera((3.3, 1.0, 3.3), (-0.6, 0, -0.6), fov_y=34, resolution=(side * fine, side * fine))

@@ -5,7 +5,7 @@
 # one weighs the compares round a receiver by a Gaussian. It is checked against a closed form, gradient included, and
 # then fitted to a ray-traced shadow beside the uniform disk of the literature.
 
-# %%
+# %% tags=["hide-input"]
 import os
 
 import equinox as eqx
@@ -133,7 +133,7 @@ for name, (kernel, width) in filters.items():
     print(f"{name:12} RMSE {error(result.initial):.4f} before, {error(result.fitted):.4f} after: {told}")
 print(f"noise of the reference: RMSE {truth.noise_floor:.4f}")
 
-# %%
+# %% tags=["picture"]
 figure, axes = plt.subplots(1, 3, figsize=(11, 3.6))
 for ax, (name, image) in zip(axes, pictures.items()):
     shown = ax.imshow(image, vmin=0, vmax=1)
