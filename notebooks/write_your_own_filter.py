@@ -47,9 +47,9 @@ class Gaussian(shadow.AbstractFilter):
 
 # %% [markdown]
 # **Closed form.** Let all of a map left of $x = 16$ be a caster. A bilinear tap at a distance $x$ from the caster's
-# edge then sees a ramp one texel wide, and the mean of such ramps under a Gaussian is $$v(x) = \sigma\,[\,G(\tfrac{x +
-# ½}{\sigma}) - G(\tfrac{x - ½}{\sigma})\,], \quad G(z) = z\,\Phi(z) + \varphi(z), \qquad \frac{\partial v}{\partial
-# \sigma} = \varphi(\tfrac{x + ½}{\sigma}) - \varphi(\tfrac{x - ½}{\sigma}).$$
+# edge then sees a ramp one texel wide, and the mean of such ramps under a Gaussian is
+# $$v(x) = \sigma\,[\,G(\tfrac{x + ½}{\sigma}) - G(\tfrac{x - ½}{\sigma})\,], \quad G(z) = z\,\Phi(z) + \varphi(z),
+# \qquad \frac{\partial v}{\partial \sigma} = \varphi(\tfrac{x + ½}{\sigma}) - \varphi(\tfrac{x - ½}{\sigma}).$$
 
 # %%
 depth = np.tile(np.where(np.arange(32) < 16, 0.2, 1.0), (32, 1)).astype(np.float32)

@@ -51,7 +51,8 @@ app.register_install_completion_command(add_to_startup=False)
 
 
 def file_of(given: Path, *, sweep: bool = False) -> Path:
-    """The configuration's file. Of a run's folder, the one with the values that the run found, which is said.
+    """The configuration's file. For a run's folder, it is the file with the values that the run found, and the command
+    prints its name.
 
     **Arguments:**
 

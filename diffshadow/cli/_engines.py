@@ -47,10 +47,11 @@ def convert(config: Path, /, *overrides: str, engine: EngineName | None = None) 
 
 @app.command
 def export(config: Path, /, *overrides: str, shader: ShaderLanguage = "glsl", output: Path | None = None) -> None:
-    """Writes the shadows of CONFIG as a shader for a renderer of one's own.
+    """Writes the shadows of CONFIG as a shader for your own renderer.
 
-    Of a finished fit, it takes the fitted values. The folder also holds the scene, the light's matrices, and a page
-    that says how the shadow map is to be drawn in OpenGL, WebGPU and Direct3D. Its path is the last line printed.
+    For the folder of a finished fit, the shader has the fitted values. The folder also holds the scene, the light's
+    matrices, and a page that says how the shadow map is to be drawn in OpenGL, WebGPU and Direct3D. Its path is the
+    last line printed.
 
     Example: `diffshadow export runs/quickstart`
 
@@ -144,7 +145,7 @@ def import_(
     """Makes a configuration of SCENE, a file that three.js or another program stored: JSON of scene.toJSON(), GLB or
     glTF 2.0.
 
-    Says what is taken over, and what is left out or otherwise than in the scene. The path of the configuration is the
+    Prints what is imported, what is left out, and what differs from the scene. The path of the configuration is the
     last line printed.
 
     Example: `diffshadow import scene.json --output scene`

@@ -44,18 +44,18 @@ class FitResult:
     - `flat`: names of the parameters that stayed where they began, and have no slope there; they were not fitted.
     - `seconds_compiling`, `seconds_running`: of the whole fit.
     - `arrangement`: the fitted technique, lights and meshes, where lights or meshes were fitted.
-    - `precision`: how well the values are determined; none if the start was best, or under a loss of one's own.
+    - `precision`: how well the values are determined; `None` if the start was best, or for a loss of your own.
     - `starts`: how each of several starts went; `phases` and `initial` belong to the best.
     - `enlargements`: how often a phase was repeated with memory for more silhouettes.
     - `profiles`: of the parameters, if intervals were asked for; they are about the best values.
     - `best`: the values of the least error, by name. Others are `fitted` only if they are preferred.
     - `front`: of false shadow against false light, if it was asked for.
     - `at_bounds`: the fitted values that ended on a bound, and whether the error still falls there.
-    - `errors`: the roots of the loss under the hard compare, at the start and at the best values; 0 where a loss of
-        one's own is less.
+    - `errors`: the square roots of the loss under the hard compare, at the start and at the best values; 0 if a loss of
+        your own is negative.
     - `problems`: the fitted problems, with the memory for silhouettes that it needed, and maps laid out as fitted.
     - `parameters`, `solver`, `search`, `sureness`: what was fitted, and how, as given.
-    - `is_own_loss`: whether `errors` and the losses of `phases` and `history` are of a loss of one's own, rather than
+    - `is_own_loss`: whether `errors` and the losses of `phases` and `history` come from a loss of your own instead of
         mean square errors.
 
     `study.save_fit(result, folder)` writes it with its images and a report, as `diffshadow fit` does.
@@ -129,23 +129,24 @@ def fit(
 
     **Arguments:**
 
-    - `problem`: one, or several that share what is fitted, such as one for each light; their errors are stacked.
+    - `problem`: one problem, or several that share the fitted values, such as one for each light; their errors are
+        stacked.
     - `parameters`: what is fitted, and within which bounds.
     - `solver`: a `Solver`, or any least-squares solver or minimiser of optimistix, such as `optimistix.BFGS(1e-4,
         1e-6)`. `Solver(method=...)` gives the latter another number of steps.
     - `anneal`: how the compare hardens. A fit of poses anneals in its last phases if it also fits a bias.
     - `loss`: of the errors of several problems; by default the mean over all pixels. Or a function of three images (h,
         w), predicted, reference and mask (whether each pixel counts), that returns an array of residuals, whose squares
-        are summed, or a number, 0 or more. It is called with one image after the other, and the loss is the mean over
-        all images. Where no pixel counts, the predicted image is the reference. Both are blurred in the phases of a fit
-        of poses. A number needs a minimiser: `Solver("bfgs")`, which is then the default, `"lbfgs"`, `"adam"`, or one
-        of optimistix. An `equinox.Module` may hold arrays; those in a plain function's closure become constants of its
+        are summed, or a number, 0 or more. It is called once for each image, and the loss is the mean over all images.
+        Where no pixel counts, the predicted image is the reference. Both are blurred in the phases of a fit of poses. A
+        number needs a minimiser: `Solver("bfgs")`, which is then the default, `"lbfgs"`, `"adam"`, or one of
+        optimistix. An `equinox.Module` may hold arrays; those in a plain function's closure become constants of its
         compiled program.
     - `search`, `sureness`: where it looks; and what it finds out about the values near the best.
     - `on_step`: called with every evaluation of the loss, while the fit runs; also with evaluations of a phase that is
         then repeated with memory for more silhouettes. What it raises ends the fit, and is raised by `fit`.
-    - `progress`: called with what the fit is at, as text, and with the fraction that is done, none if that is not
-        known. If neither of these two is given, `diffshadow.setup` decides whether a line shows it.
+    - `progress`: called with the current stage of the fit, as text, and with the finished fraction, or `None` if the
+        fraction is not known. If neither of these two is given, `diffshadow.setup` decides whether a line shows it.
 
     **Raises** `ValueError` if there are no parameters, one does not exist, is named twice or has bounds that the
     technique does not allow, another argument is out of its range, no pixel counts, the visibility is not finite or the

@@ -21,12 +21,12 @@ class Search:
     - `seed`: of the starts.
     - `blurs`: for a fit of poses, the standard deviations in pixels of the Gaussian under which images are compared,
         which fall. Phases before the last move poses only; a phase under the best blur for the map's texels follows. If
-        left out, from an eighth of the images' shorter side to 3, each about a third of the one before.
+        left out, widths fall from an eighth of the images' shorter side to 3, each about a third of the previous width.
     - `evaluations`: how often the error is evaluated, for each parameter, in the search for numbers that lay out the
         map.
-    - `pixels`: the most pixels that a step of a fit of a technique evaluates. If more count, it takes a random part;
-        for a loss other than the mean, most of it from the worst problems. Their errors are rescaled to whole images
-        when a phase starts. The judge, and a user's loss, see all.
+    - `pixels`: the most pixels that a step of a fit of a technique evaluates. If more pixels count, a step evaluates a
+        random sample. For a loss other than the mean, most of the sample comes from the worst problems. Their errors
+        are rescaled to whole images when a phase starts. The judge, and a user's loss, see all.
     - `devices`: how many devices share the images of a fit of a technique; 0 for all that JAX sees.
 
     **Raises** `ValueError` for a value that is not allowed.
@@ -54,8 +54,8 @@ class Sureness:
     - `within`: for each of these fractions ε, finds the interval of every parameter in which the error stays below
         (1 + ε) times the best, while the others are fitted again.
     - `prefer`, `tolerance`: names of parameters, and the bound, `"lower"` or `"upper"`, that they should come close to.
-        Of all values whose error is at most (1 + `tolerance`) times the best, these are the result: the first parameter
-        goes as far as it can, then the second, and so on. For fits of a technique, as `within` is.
+        The result is chosen among all values whose error is at most (1 + `tolerance`) times the best: the first
+        parameter goes as far as possible, then the second, and so on. For fits of a technique, as `within` is.
     - `front`: how many weighted sums of false shadow and false light are made least, 3 or more; 0 for none. For fits
         of a technique, with a loss that has factors of both.
 

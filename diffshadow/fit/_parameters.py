@@ -23,8 +23,8 @@ class Parameter(eqx.Module):
     - `name`: for results and messages.
     - `initial`, `lower`, `upper`: where it starts, and the bounds it keeps.
     - `unit`: of all three, for reports.
-    - `path`: dotted path to it, such as `"filter.radius"`; its name if left out. A path may stop at a module that holds
-        one number: `"bias.constant"` means `"bias.constant.value"`.
+    - `path`: dotted path to the number, such as `"filter.radius"`; by default the parameter's name. A path may stop at
+        a module that holds one number: `"bias.constant"` means `"bias.constant.value"`.
     - `offset`: what the number at `path` is counted from, for a coordinate of a scene that has an origin: the number is
         the parameter's value less the offset. A value far from 0 keeps its digits in this way.
 

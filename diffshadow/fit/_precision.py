@@ -54,8 +54,8 @@ class Precision(NamedTuple):
     a texel, to K = 4 places. Grid k has the residuals rₖ and the step δₖ = -(JᵀB²J)⁻¹ JᵀB² rₖ: how far away, to first
     order, the fit would have ended on that grid. The mean (1/K) Σₖ δₖ δₖᵀ is the third part.
 
-    The third part is missing in fits of a technique alone, which draw no map again. It is δδᵀ under maps whose texels
-    have no even grid: warped ones, and those with pages or with cascades of several sizes. Deviations for casters
+    The third part is missing in fits of a technique alone, which draw no map again. It is δδᵀ for maps without a
+    regular grid of texels: warped maps, and maps with pages or with cascades of several sizes. Deviations for casters
     thinner than a texel are then too small.
 
     - `names`: the parameters whose gradient is not zero throughout.

@@ -56,8 +56,8 @@ class ShapeState(NamedTuple):
     - `phase`, `step`: of the next step, from 0; `crossings`: for how many there is memory.
     - `vertices`, `faces`, `free`: of the mesh at the start of the phase; `u`, `mean`, `square`: of Adam, (n, 3).
     - `best_vertices`, `best_faces`: of the best end of a phase so far, or of the start.
-    - `lights`, `light_mean`, `light_square`: the numbers of all lights' poses, and of Adam; empty if none moves;
-        `best_lights`: those of the best end of a phase.
+    - `lights`, `light_mean`, `light_square`: the numbers of all lights' poses, and of Adam; empty if no light moves.
+        `best_lights`: the poses at the best end of a phase.
     - `losses`: under the judge, of the start and of the ends of phases; `history`: (s, 2), phase and loss of each step.
     """
 

@@ -70,21 +70,21 @@ def train(
 
     It minimises the mean square error over all pixels that count, under a soft compare that hardens from phase to
     phase. The hard compare judges the start and the end of each phase, and the best is the result. Views whose arrays
-    have equal shapes share a compiled loop, and only one of them at a time has its derivatives in memory.
+    have equal shapes share a compiled loop. Only the derivatives of one view at a time are in memory.
 
     **Arguments:**
 
     - `problems`: views. They start from the technique of the first.
     - `where`: selects what is trained of a technique: a module or several, whose inexact arrays all are. Calls with
         the same function share their compiled programs.
-    - `lower`: the least value of what is trained, minus infinity for none: a number, or a tree of numbers with the
-        structure of what `where` returns or its upper part.
+    - `lower`: the least value of the trained numbers, minus infinity for no limit. A number, or a tree of numbers with
+        the structure of the result of `where` or of its upper part.
     - `solver`, `anneal`: defaults if left out. Levenberg-Marquardt and dogleg find a derivative for each number and
         pixel, which suits some tens of numbers; the others find the loss' gradient in reverse mode.
     - `on_phase`: called after each phase. Left out, `diffshadow.setup` decides whether a line shows them.
 
-    **Raises** `ValueError` if there is no view, no pixel of one counts, nothing is selected, or a number starts below
-    its least value.
+    **Raises** `ValueError` if there is no view, no pixel of a view counts, nothing is selected, or a number starts
+    below its least value.
     """
     solver, anneal = Solver.of(solver).for_problem(False), anneal or Anneal()
     if not problems:
@@ -117,7 +117,7 @@ def train(
 
 
 def mean_square_error(problems: Sequence[TechniqueProblem], technique: FittableTechnique) -> float:
-    """The mean square error of a technique over all pixels of several views that count, by one compiled program."""
+    """The mean square error of a technique over all counted pixels of several views, by one compiled program."""
     groups = _stacked([_plain(problem, technique) for problem in problems])
     return float(_loss(groups, technique, jnp.zeros(0), _nothing))
 

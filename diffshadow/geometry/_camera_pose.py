@@ -14,8 +14,8 @@ class CameraPose(eqx.Module):
     - `eye`: world units.
     - `turn`: a rotation vector about the eye in degrees, in the camera's own axes before it is turned: `x` pitches it
         upwards, `y` turns it to the left, and `z` rolls it anticlockwise.
-    - `fov_y`: a pinhole camera's vertical field of view in degrees; `height`: of what an orthographic camera sees,
-        world units.
+    - `fov_y`: a pinhole camera's vertical field of view in degrees; `height`: the height of an orthographic camera's
+        view, world units.
     """
 
     eye: Vector

@@ -25,7 +25,7 @@ NO_NEIGHBOUR = -1
 
 
 class Edges(eqx.Module):
-    """The edges of a mesh. Vertices at the same place count as one, whatever their indices.
+    """The edges of a mesh. Vertices at the same place count as one vertex, even if their indices differ.
 
     - `vertices`: (e, 2), the ends, indices into the mesh's vertices; of several at one place, the first. The first
         face traverses the edge from the first end to the second.
@@ -37,7 +37,7 @@ class Edges(eqx.Module):
         outside, that is, its signed volume is positive.
     - `is_closed`: whether the whole mesh is closed: every edge is traversed equally often in both directions.
 
-    An edge in which three or more faces meet has one row per face, without a second face, so that it always counts as a
+    An edge between three or more faces has one row per face, without a second face. So it always counts as a
     silhouette. Faces with two corners at one place have no edges; faces whose three corners lie on a line have edges.
     """
 
@@ -85,9 +85,10 @@ class Edges(eqx.Module):
         )
 
     def padded(self, faces: int, to: int | None = None) -> "Edges":
-        """The edges of the mesh `padded` to so many faces, with further ones that are no silhouettes.
+        """The edges padded to as many rows as the mesh `padded` to so many faces needs. Added edges are never
+        silhouettes.
 
-        **Arguments:** `to`: the number of edges, no less than its own; by default the least of a few.
+        **Arguments:** `to`: the number of edges after padding; by default the next of a few sizes.
         """
         if isinstance(self.vertices, Tracer):
             return self

@@ -84,9 +84,8 @@ class Textures(eqx.Module):
         row.
     - `table`: (t, 3), of each texture its first texel, its height and its width.
     - `cutoff`: (t,), alpha below which each texture's faces are cut out; 0 for none. `None` if no face is cut out.
-    - `samplers`: (t, 3), how each texture is read: what it shows beyond [0, 1] along u and along v (0 the image again,
-        1 its border, 2 its mirror image every other time), and between texels (0 their bilinear mean, 1 the nearest).
-        `None` if all are zero.
+    - `samplers`: (t, 3), the sampler of each texture: the wrapping along u and along v (0 repeat, 1 clamp, 2 mirror),
+        and the filter between texels (0 bilinear, 1 nearest). `None` if all are zero.
     - `corner_alpha`: (f, 3), alpha in [0, 1] of each corner of each face. Its mean at a point is multiplied by the
         texture's alpha before that is compared with `cutoff`. `None` if all are 1.
 
@@ -230,7 +229,7 @@ class Textures(eqx.Module):
         return self._of_faces(turn(self.uv), self.index, turn(self.corner_alpha))
 
     def followed_by(self, other: "Textures") -> "Textures":
-        """These textures with the faces of `other` added behind their own. Both have the same texels."""
+        """These textures, followed by the textures and faces of `other`. Both have the same texels."""
         xp = array_module(self.uv, other.uv, self.index)
         pairs = zip(self._by_face, other._by_face, strict=True)
         return self._of_faces(*(None if pair[0] is None else as_array(xp.concatenate(pair)) for pair in pairs))
@@ -266,7 +265,8 @@ class Textures(eqx.Module):
         return (self.texels.shape[0], self.table.shape[0]) == self._padded_size
 
     def padded(self, faces: int) -> "Textures":
-        """With further faces, texels and textures, none of them seen, so that arrays have one of few sizes."""
+        """The same textures with added faces, texels and textures that are never visible, so that arrays have one of a
+        few sizes."""
         size, count = self._padded_size
         more = [
             padded_to(self.uv, faces),

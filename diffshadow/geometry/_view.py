@@ -19,15 +19,15 @@ class View(eqx.Module):
 
     - `world_to_eye`: (4, 4), rigid; the eye looks along `-z`.
     - `eye_to_clip`: (4, 4), OpenGL clip space.
-    - `near`, `far`: distances along the view axis of window depth 0 and 1, in world units. Of several views, one for
-        all, or (l,).
+    - `near`, `far`: distances along the view axis of window depth 0 and 1, in world units. For several views, one value
+        for all, or (l,).
     - `is_perspective`: whether sizes shrink with distance.
     - `steps`: (2,), for a parallel view: into how many steps along x and y each unit of clip space is divided. Vertices
         are drawn at whole steps, counted from the eye's axis rather than the window's border. A window that moves by
         whole steps then sees the same triangles to the bit. None if vertices are drawn where they are. Of several
         views, (l, 2).
-    - `warp`: for a parallel view without steps: a perspective of its window. It changes where points lie in the window,
-        while depths stay as in the parallel view. None for no warp.
+    - `warp`: for a parallel view without steps: a perspective of its window. It moves points in the window, and keeps
+        the depths of the parallel view. None for no warp.
     - `tile`: for a parallel view: the part of a virtual map that each layer shows. The projection covers the whole
         virtual map. None if a map shows all of the window. A virtual map that is smaller than its layer ends within it.
     - `pages`: the pages of a virtual map that the layers show; `tile` is theirs. None for a map without pages.
@@ -108,7 +108,7 @@ class View(eqx.Module):
 
     @eqx.filter_jit
     def shifted(self, texels: Float[Array, "2"], resolution: tuple[int, int]) -> "View":
-        """With its window moved, so that points lie so many `texels` further along x and y of a map of `resolution`.
+        """The view with its window moved: points move by so many `texels` along x and y of a map of `resolution`.
 
         **Raises** `ValueError` unless texels are even.
         """

@@ -11,7 +11,7 @@ _SHOWN = 4
 
 
 class FileError(ValueError):
-    """A file or folder cannot be read or written, or does not hold what was expected."""
+    """A file or folder cannot be read or written, or has unexpected content."""
 
 
 class FullDiskError(FileError):
@@ -61,7 +61,7 @@ class FileWarning(UserWarning):
 
 
 class MeshWarning(FileWarning):
-    """A mesh file holds something besides triangles, which was left out, or its coordinates are rounded."""
+    """A mesh file has parts other than triangles, which were left out, or its coordinates are rounded."""
 
 
 class ImageWarning(FileWarning):

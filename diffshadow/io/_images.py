@@ -82,8 +82,8 @@ def read_visibility(path: str | os.PathLike[str]) -> Float[HostArray, "h w"]:
 
     **Returns:** (h, w), float32, row 0 the bottom row.
 
-    **Warns** with `ImageWarning` about what the file says of its pixels that is not obeyed: a curve or a colour
-    profile, colours, alpha, further channels and parts, pixels that are not square.
+    **Warns** with `ImageWarning` about everything in the file that is ignored: a transfer curve or colour profile,
+    colours, alpha, further channels and parts, and the shape of pixels that are not square.
 
     **Raises** `FileError` if the file is missing, damaged or has another format, if it holds anything but one image,
     no pixels for a part of it, or values that are NaN or outside [0, 1].

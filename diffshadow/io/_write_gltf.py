@@ -53,13 +53,13 @@ def write_gltf(path: str | os.PathLike[str], scene: Scene, *, extras: Mapping[st
 
     Meshes have the normals of their corners and their albedo: one colour as the material's; several, and colours of
     corners, as colours of vertices (`COLOR_0`, linear). Textures are PNG images within the file, with 8 bits, and their
-    samplers. Faces with different ones are primitives of their own, and alpha tests are materials of mode MASK, with
-    the corners' alpha in `COLOR_0`. Vertices are repeated
-    where corners have other normals, colours or texture coordinates. Cameras are perspective or orthographic. A
-    directional, point or spot light is one of KHR_lights_punctual with the intensity 1. A rectangle light is a point
-    light there, and a light of matrices a directional or a spot light. The `extras` of the nodes of cameras and lights
-    have all of their fields under `diffshadow`, such as near and far of a shadow map, and the `extras` of meshes say
-    whether they cast and receive shadows. `read_scene` and `diffshadow import` read meshes, cameras and lights back.
+    samplers. Faces with different materials become separate primitives. Alpha tests become materials of mode MASK, with
+    the corners' alpha in `COLOR_0`. Vertices are repeated where corners have other normals, colours or texture
+    coordinates. Cameras are perspective or orthographic. A directional, point or spot light is one of
+    KHR_lights_punctual with the intensity 1. A rectangle light is a point light there, and a light of matrices a
+    directional or a spot light. The `extras` of the nodes of cameras and lights have all of their fields under
+    `diffshadow`, such as near and far of a shadow map, and the `extras` of meshes say whether they cast and receive
+    shadows. `read_scene` and `diffshadow import` read meshes, cameras and lights back.
 
     **Arguments:**
 

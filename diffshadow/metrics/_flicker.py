@@ -11,8 +11,8 @@ def flicker(visibility: ArrayLike, reference: ArrayLike, mask: ArrayLike | None 
 
         flicker² = mean over frames and pixels of ((v[t+1] - r[t+1]) - (v[t] - r[t]))²
 
-    Shadows that move as the reference's do not count, and neither does an error that stays as it is. What counts is the
-    crawl of jagged edges and of acne, which eyes see better than a constant error.
+    A shadow that moves in the same way as in the reference does not count, and a constant error does not count. Flicker
+    measures the crawling of jagged edges and of acne, which is more visible than a constant error.
 
     **Arguments:**
 

@@ -41,7 +41,7 @@ _LEAST = 1024, 256
 
 
 class AntialiasPlan(eqx.Module):
-    """What `draw_antialiased` must know of a mesh and a view before it draws inside `jax.jit`.
+    """What `draw_antialiased` needs inside `jax.jit`: the edges of the mesh, and sizes of arrays.
 
     - `edges`: the mesh's; `creases`: (n,), which of these are creases.
     - `pieces`: for how many pieces of edges within pixels there is memory; `crossings`: for how many pixels in which
@@ -55,13 +55,15 @@ class AntialiasPlan(eqx.Module):
 
 
 class AntialiasedSurface(eqx.Module):
-    """A surface, and what is seen on both sides of the lines along which its colours jump.
+    """A surface, and the surfaces on both sides of all lines where its colours jump.
 
-    - `surface`: (h + k, w): the pixels' centres, and then k rows of further points. What is computed for each of its
-        pixels, such as visibility and colours, is an image of that size; `resolve` makes a picture (h, w) of it.
+    - `surface`: (h + k, w): the pixels' centres, and then k rows of further points. Visibility, colours and other
+        values for each of its pixels are images of that size. `resolve` turns such an image into a picture (h, w).
     - `pixel`: (n,), the pixel that each boundary is in, row · width + column; h · w for none.
-    - `area`: (n,), how much of the pixel's mean it moves from its left colour to its right one. It may be negative.
-    - `nearness`: (n,), how much of the centre's colour its left one replaces, near the outline of what the centre sees.
+    - `area`: (n,), the fraction of the pixel's mean that moves from the left colour to the right colour. It may be
+        negative.
+    - `nearness`: (n,), the fraction of the centre's colour that the left colour replaces, near the outline of the
+        surface that the centre sees.
     - `overflow`: whether there were more pieces than planned, so that the picture is wrong; none if that is an error.
     """
 
@@ -80,7 +82,8 @@ class AntialiasedSurface(eqx.Module):
     def extend(self, image: Float[Array, "h w *c"]) -> Float[Array, "H w *c"]:
         """An image known at pixel centres only, at all points of `surface`.
 
-        Each further point takes the value of that of the nine pixels around it whose surface is nearest in the world.
+        Each added point takes the value of one of the nine pixels around it: the one whose surface is nearest in the
+        world.
         """
         height, width = self.resolution
         pixel = jnp.tile(jnp.minimum(self.pixel, height * width - 1), 2)

@@ -48,8 +48,8 @@ def count_fragments(
     - `faces`: (f, 3), indices into `clip`; anticlockwise in the window is a front face.
     - `weights`: (f,), how often each face counts; a face of weight 0 costs next to nothing.
     - `depth`: (h, w), window depth, from `rasterize`. The sum is for its resolution.
-    - `when`: which fragments count: `"pass"` for fragments nearer than `depth`, `"fail"` for all others.
-        What lies before the near plane is clipped away in either case.
+    - `when`: which fragments count: `"pass"` for fragments nearer than `depth`, `"fail"` for all others. Geometry in
+        front of the near plane is clipped in both cases.
 
     **Raises** `ValueError` if `when` is neither.
     """

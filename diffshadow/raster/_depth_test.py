@@ -35,7 +35,8 @@ class DepthTest(NamedTuple):
         return depth if self.format == "float32" else jnp.round(depth * _STEPS[self.format])
 
     def decode(self, stored: Float[Array, "*n"]) -> Float[Array, "*n"]:
-        """Window depth as it is read back from the buffer: the depth, or the number of steps divided by their count.
+        """Window depth as read back from the buffer: the float depth, or the integer depth divided by its greatest
+        value.
 
         The quotient is rounded correctly, so `encode(decode(u)) == u` for every step `u`.
         """

@@ -74,7 +74,7 @@ def rasterize(
 ) -> Fragments:
     """The nearest face at every pixel centre, by OpenGL's rules.
 
-    Triangles snap to 1/256 pixel, shared edges are covered exactly once, and what lies before the near plane or
+    Triangles snap to 1/256 pixel, shared edges are covered exactly once, and geometry in front of the near plane or
     beyond the far plane is cut away.
 
     **Arguments:**
@@ -93,7 +93,8 @@ def rasterize(
     - `viewports`: (b, 2), for several views: (height, width) in pixels of the lower left part of its image that each is
         drawn into. Pixels beyond see nothing.
     - `buffer`: (height, width) in pixels, at least `resolution`: draws into a part of an image of this size. Outside of
-        a trace, drawings with one buffer share what is compiled; under a trace, and with pages, it is ignored.
+        a trace, drawings with the same buffer share compiled programs. Under a trace, and with pages, `buffer` is
+        ignored.
     - `alpha_test`: `Mesh.alpha_test`: textures of the faces, whose cutoffs cut out pixels, as by `discard`.
 
     **Raises** `ValueError` for a resolution, buffer or depth test out of range.

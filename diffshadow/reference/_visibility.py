@@ -43,8 +43,8 @@ def trace_visibility(
 
     A ray through each pixel's centre finds the surface between the camera's near and far distances. Shadow rays from
     there to points of the light find which of these are occluded. Every surface is two-sided, but receives light only
-    on the side that faces the camera: parts of the light below that side's horizon count as occluded. A mesh that does
-    not cast is seen, but blocks no shadow ray, as in engines: a lamp may stand inside its own bulb. All rays pass
+    on the side that faces the camera: parts of the light below that side's horizon count as occluded. As in engines, a
+    mesh that does not cast is visible but blocks no shadow ray. So a lamp may be inside its own bulb. All rays pass
     through what an alpha test cuts out. A light's cone, near and far are ignored, since they are settings of a shadow
     map.
 

@@ -97,7 +97,7 @@ class Fitted:
 
 @dataclass(frozen=True)
 class At:
-    """Dotted paths of a setting in its module, where they are not its own name; none if no field holds it."""
+    """Dotted paths of a setting in its module, if they differ from its name; `At()` if the module has no such field."""
 
     paths: tuple[str, ...]
 
@@ -206,7 +206,8 @@ class Setting:
 
 
 class Settings:
-    """What can be set of one thing. Each annotation is a type with marks, and each value a default.
+    """The settings of one technique, filter, light or solver. Each annotation is a type with marks, and each value a
+    default.
 
     `ascending` names pairs of keys. The first must be less than the second, or at most equal to it if the pair
     ends in `True`.

@@ -72,7 +72,7 @@ class AnyLoss(Settings):
 
 
 class Loss(AnyLoss):
-    """What a fit minimises: the mean square errors of its views as one number."""
+    """The number that a fit minimises, made from the mean square errors of its views."""
 
     type: Literal["squares"] = "squares"
     over: Annotated[Over, "the mean over all pixels, the worst view, or the mean of the worst views"] = "mean"

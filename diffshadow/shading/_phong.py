@@ -48,7 +48,8 @@ class Phong(AbstractShading):
 
     - `ambient`: light from all directions that nothing shadows; added once, whatever the number of lights.
     - `intensity`: of each light: the colour of a white diffuse surface that faces the light. With several lights,
-        divide it by their number to keep the brightness. `intensities`: of the lights one by one, in place of it.
+        divide it by their number to keep the brightness. `intensities`: an intensity for each light, instead of
+        `intensity`.
     - `specular`: fraction of the light that the highlight reflects; `shininess`: its exponent.
     - `background`: colour of pixels without a surface.
     - `attenuation`: with the distance to a light that is not directional.

@@ -39,9 +39,9 @@ def draw_shadow_map(
 ) -> ShadowMap:
     """The shadow map of `mesh` under `light`.
 
-    Depth is differentiable with respect to vertices and light, with the face that each texel sees held constant. With
-    `edges`, the shadow's outline is differentiable too, and hard shadows have sub-texel accuracy. A map does not depend
-    on bias or filter: if the light is fixed, draw it once.
+    Depth is differentiable with respect to vertices and light, for a fixed visible face in each texel. With `edges`,
+    the shadow's outline is differentiable too, and hard shadows have sub-texel accuracy. A map does not depend on bias
+    or filter: if the light is fixed, draw it once.
 
     **Arguments:**
 
@@ -63,8 +63,8 @@ def draw_shadow_map(
         default from `plan_crossings`. Under a trace, it is required with `edges`.
     - `raises`: whether more crossings than that are an error. Otherwise the map's `overflow` says whether there are
         more: throw such a map away, and draw again with more memory.
-    - `shift`: (2,), how far the grid of texels is moved, in texels: points lie so much further along x and y of the
-        map. It stays within a texel, since the window moves with the grid. None to leave it where the light has it.
+    - `shift`: (2,), a shift of the grid of texels, in texels: points move by so much along x and y of the map. It stays
+        within a texel, since the window moves with the grid. None to leave it where the light has it.
     - `buffer`: as for `rasterize`; ignored with `edges`.
 
     **Raises** `ValueError` if `depth_layer` is unknown, if `edges` are given with another one than `"nearest"` or with
@@ -244,7 +244,7 @@ class MapSettings:
 
 
 class MapPlan(eqx.Module):
-    """What a technique must know of a scene before it draws a shadow map inside `jax.jit`.
+    """What a technique needs to draw a scene's shadow map inside `jax.jit`: edges, and memory for silhouettes.
 
     - `edges`: of the casters; none for a map without silhouettes.
     - `crossings`, `raises`: as for `draw_shadow_map`.

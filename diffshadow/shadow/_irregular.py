@@ -35,12 +35,12 @@ class IrregularScene(eqx.Module):
 class IrregularZBuffer(AbstractTechnique):
     """Hard shadows by testing triangles against the surface's points in the light's view.
 
-    Equal to rays traced to the light's centre up to the rounding of the surface's positions. It finds one visibility a
-    point: for several per pixel, give it the surface that a camera with more pixels sees, and average (Wyman, Hoetzlein
-    & Lefohn 2015, "Frustum-traced raster shadows", take 32).
+    Equal to rays traced to the light's centre up to the rounding of the surface's positions. It finds one visibility
+    for each point. For several points per pixel, pass the surface of a camera with more pixels, and average (Wyman,
+    Hoetzlein & Lefohn 2015, "Frustum-traced raster shadows", take 32).
 
-    A light's size is ignored. A point outside of the light's frustum, or behind a light with a cone, is lit and does
-    not count as covered, as in a shadow map; the frustum's near and far cut nothing.
+    A light's size is ignored. As in a shadow map, a point outside of the light's frustum, or behind a light with a
+    cone, is lit and does not count as covered. The frustum's near and far planes cut nothing.
 
     Visibility is 0 or 1 and has no gradient.
     """

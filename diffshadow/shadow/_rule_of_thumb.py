@@ -11,7 +11,7 @@ from .filters import AbstractFilter
 
 
 def bias_for(filter: AbstractFilter, plane: AbstractBias | None = None, *, across: float = math.inf) -> Bias:
-    """The bias that holds over many scenes with a filter: what a configuration has that gives none.
+    """The bias for a filter that works in many scenes. A configuration without a bias uses it.
 
     It is a rule of thumb, measured over a collection of scenes: a constant bias, a slope bias and, under wide filters,
     a normal offset. A fit to a scene has less error; the documentation's page on rules of thumb says by how much.

@@ -82,7 +82,8 @@ class ShadowMapping(AbstractTechnique):
     def plan(
         self, scene: Scene, surface: Surface | None = None, *, margin: float = 2.0, raises: bool = True
     ) -> MapPlan:
-        """What `prepare` needs inside `jax.jit` for scenes like this one: with the same faces, moved or lit otherwise.
+        """What `prepare` needs inside `jax.jit` for scenes with the same faces, which may move or be lit by other
+        lights.
 
         **Arguments:**
 
@@ -108,7 +109,7 @@ class ShadowMapping(AbstractTechnique):
 
         - `plan`: needed inside `jax.jit`, `grad` or `vmap` for a map with silhouettes; made outside by `plan`.
 
-        **Raises** what `draw_shadow_map` and the layout raise, and `ValueError` without a plan where one is needed.
+        **Raises** the errors of `draw_shadow_map` and of the layout, and `ValueError` if a needed plan is missing.
         """
         if self.map.silhouettes and plan is None and is_traced(scene):
             raise ValueError(

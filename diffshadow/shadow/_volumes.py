@@ -60,7 +60,7 @@ class VolumeScene(eqx.Module):
     - `casters`: visible, and cast shadows. Volumes are watertight if coincident vertices are bitwise equal.
     - `light`, `camera`: where volumes are extruded from, and where they are seen from.
     - `edges`: of `casters`.
-    - `receivers`: further surfaces, which are visible but cast no shadow; or none.
+    - `receivers`: surfaces that are visible but cast no shadow, or `None`.
     """
 
     casters: Mesh
@@ -92,8 +92,8 @@ class ShadowVolumes(AbstractTechnique):
 
     Every light is a point light or a directional one: a spot light's cone is ignored, and so is a light's size.
 
-    A mesh that does not cast stops neither light nor shadow: a caster's shadow falls on such a wall, and again on
-    whatever lies behind it (a "ghost shadow"). Let the wall cast to avoid this.
+    A mesh that does not cast stops neither light nor shadow. A caster's shadow falls on such a wall, and again on
+    surfaces behind the wall (a "ghost shadow"). Let the wall cast to avoid this.
 
     The counts are integers and have no gradient.
     """
@@ -116,8 +116,8 @@ class ShadowVolumes(AbstractTechnique):
     def counts(self, state: VolumeScene) -> Int[Array, "h w"]:
         """How many shadow volumes each visible surface point lies in, (h, w); row 0 is the bottom row.
 
-        Of a solid, each face that faces the light and lies between the light and the point counts once; of an open
-        mesh, each face between them. The count is undefined at pixels without a surface.
+        For a solid, each face between light and point counts if it faces the light. For an open mesh, each face between
+        light and point counts. The count is undefined at pixels without a surface.
         """
         return self._count(state).counts
 

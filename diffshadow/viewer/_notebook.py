@@ -108,7 +108,7 @@ def view(what: Any, *overrides: str, port: int = 0) -> OpenPage:
 
     **Arguments:**
 
-    - `what`: a `Config`; the path of a configuration, a mesh or a run's folder; a `Scene`; or a problem that has one,
+    - `what`: a `Config`; the path of a configuration, a mesh or a run's folder; a `Scene`; or a problem with a scene,
         such as a `TechniqueProblem`. Of scenes and problems, the page shows meshes, camera and lights, with a
         configuration's default technique.
     - `overrides`: strings such as `"filter.radius=3"` that replace values of the configuration.

@@ -76,7 +76,7 @@ class Screen(NamedTuple):
 class ShapePlan(NamedTuple):
     """All that a fit of a shape needs.
 
-    - `seen`, `unseen`: the screens of the fit's lights and of those for measuring.
+    - `seen`, `unseen`: the screens of the fit's lights, and of the lights that only measure the result.
     - `starts`: for each light of the fit, whether it is fitted too, and the light that the fit starts from.
     - `start`: where the fit starts; none for the targets' visual hull. `symmetry`: as for `fit.ShapeProblem`.
     - `targets`: the mesh whose shadow each light should cast; empty if there are images.

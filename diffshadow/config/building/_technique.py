@@ -41,7 +41,8 @@ def build_technique(config: Config, *, fitting: bool = True) -> shadow.AbstractT
 
 
 def build_shadow_mapping(config: Config, *, fitting: bool = True) -> shadow.ShadowMapping:
-    """The shadow mapping of `config`, even if its technique is another one; otherwise as `build_technique`."""
+    """The shadow mapping of `config`, even if the configuration has another technique. Everything else is as in
+    `build_technique`."""
     config = config.with_starts() if fitting else config
     with blame(config, ("bias",)):
         bias = build_bias(config.bias)

@@ -74,7 +74,7 @@ def _folder(output: str) -> str:
 class FitView(NamedTuple):
     """A scene that a fit sees, or that it is validated on.
 
-    - `name`: what tells it from the others.
+    - `name`: its name, which no other has.
     - `config`: of a run of its own.
     """
 
@@ -128,7 +128,8 @@ class Config(Section):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was found for parts of the scene that were left to the program, each a sentence without a full stop."""
+        """What the program chose for parts of the scene that the configuration leaves out, each a sentence without a
+        full stop."""
         return self._origin.notes
 
     @property

@@ -28,7 +28,7 @@ class AbstractProblem(eqx.Module):
     @property
     @abc.abstractmethod
     def subject(self) -> Any:
-        """What is fitted, as it stands."""
+        """The fitted object with its current values."""
 
     @property
     @abc.abstractmethod
@@ -76,7 +76,8 @@ class AbstractProblem(eqx.Module):
 
     @abc.abstractmethod
     def padded(self) -> "AbstractProblem":
-        """With its meshes padded to few sizes, so that problems of like size share compiled programs."""
+        """The same problem with its meshes padded to a few sizes, so that problems of similar size share compiled
+        programs."""
 
 
 def any_overflow(found: Sequence[Overflow | None]) -> Overflow:

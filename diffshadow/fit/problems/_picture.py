@@ -33,11 +33,11 @@ class PictureProblem(ArrangedProblem):
     - `arrangement`: whose numbers are fitted.
     - `scene`: meshes, camera and lights as they stand before the arrangement moves them.
     - `reference`: (h, w, 3), the picture.
-    - `weight`: (h, w), how much each pixel counts; 0 or 1, or between where it stands for several.
+    - `weight`: (h, w), the weight of each pixel: 0 or 1, or in between if the pixel is a mean over several.
     - `encoding`: of the reference. What is drawn is encoded alike: as sRGB, it is cut off beyond 0 and 1.
     - `settings`: how maps are drawn. Only with silhouettes do derivatives see the shadow's outline move.
-    - `surface`: what the camera sees; none to draw it again at every step, which is needed where camera or meshes move
-        or change their colour.
+    - `surface`: the surface that the camera sees; `None` to draw it again at every step, which is needed if the camera
+        or meshes move or meshes change their colour.
     - `plan`: as for `draw_antialiased`; `crossings`: of each light's map, as for `draw_shadow_map`. `planned` finds
         both.
     - `edges`, `blur`, `shift`, `shadow_points`: as for `PoseProblem`.
@@ -85,12 +85,12 @@ class PictureProblem(ArrangedProblem):
 
         - `technique`: its `map` says how maps are drawn; with silhouettes unless it sets them to `False`.
         - `picture`: (h, w, 3), as large as the camera's image. Row 0 is the bottom row.
-        - `shading`: of the scene; the default one of `Phong` if left out. Its `intensities` are fitted one by one.
+        - `shading`: the scene's shading; by default `Phong()`. Its `intensities` are fitted one by one.
         - `mask`: (h, w), the pixels that count; all if left out.
         - `encoding`: of the picture; `exposure`: by how many stops what is drawn is lightened.
-        - `arrangement`: what is fitted, if not all as it stands in the scene, with its own shading and exposure.
-        - `surface`: what the camera sees, if neither it nor meshes move or change their colour. Left out, it is drawn
-            again at every step.
+        - `arrangement`: the start, with its own shading and exposure; by default all values of the scene.
+        - `surface`: the surface that the camera sees, if neither the camera nor meshes move and no mesh changes its
+            colour. Left out, it is drawn again at every step.
         - `points`: `shadow_points`; chosen by the width of a texel if left out.
 
         **Raises** `ValueError` for a picture of another size, or that is not finite where it counts.
@@ -163,7 +163,7 @@ class PictureProblem(ArrangedProblem):
     def draw(
         self, arrangement: Arrangement, *, raises: bool = True
     ) -> tuple[list[ShadowMap], AntialiasedSurface, AbstractCamera]:
-        """The maps of all lights, what the camera sees, and the camera.
+        """The maps of all lights, the surface that the camera sees, and the camera.
 
         **Arguments:** `raises` as for `draw_shadow_map`.
         """
@@ -179,7 +179,8 @@ class PictureProblem(ArrangedProblem):
         return maps, seen, camera
 
     def planned(self) -> "PictureProblem":
-        """With memory for several times the outlines and silhouettes of its arrangement, and no less than before."""
+        """The same problem with memory for several times the outlines and silhouettes of its arrangement, and at least
+        as much as before."""
         casters, lights, every, camera = _arranged(self.scene, self.arrangement)
         edges, plan, surface = self.edges_of_casters(), self.plan, None
         if self.surface is not None:

@@ -61,7 +61,7 @@ class TechniqueProblem(AbstractProblem):
 
         **Arguments:**
 
-        - `surface`: what the camera sees; drawn if left out.
+        - `surface`: the surface that the camera sees; drawn if left out.
         """
         check_instance("the truth", truth, Reference, "a Reference, such as trace_visibility(scene)")
         surface = draw_surface(scene.mesh, scene.camera) if surface is None else surface
@@ -103,7 +103,7 @@ class TechniqueProblem(AbstractProblem):
         return subject
 
     def laid_out(self, subject: FittableTechnique) -> "TechniqueProblem":
-        """With the map that `subject` draws, if it is another one. The pixels that count are the same.
+        """The same problem with the map that `subject` draws, if it differs. The pixels that count are the same.
 
         **Raises** `ValueError` if there is no scene to draw it from, or the technique does not suit it.
         """
@@ -124,12 +124,13 @@ class TechniqueProblem(AbstractProblem):
         return self
 
     def sampled(self, count: int, seed: int) -> "TechniqueProblem":
-        """With about `count` of the pixels that count, at least one for each place in a tile of `_TILE` x `_TILE`.
+        """The same problem with about `count` of the pixels that count, and at least one for each place in a tile of
+        `_TILE` x `_TILE`.
 
         A pixel keeps its place in the tile, and so its taps, unless the filter's pattern is rotated at each pixel or
         its tile does not divide these. The pixels of each place are drawn at random, one from each of as many runs of
         equal length in the image's order. Each stands for its run, so the expected mean square error equals the whole
-        image's. Where fewer pixels count, all of them are taken.
+        image's. If fewer pixels count, all of them are kept.
         """
         runs, places = _runs(count / _TILE**2), _TILE**2
         counting = np.flatnonzero(np.asarray(self.mask))

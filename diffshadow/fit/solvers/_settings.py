@@ -32,9 +32,9 @@ class Solver(CheckedModule):
     - `noise`: fraction of the loss by which it jumps as parameters change a little. Levenberg-Marquardt accepts steps
         within it, and of phases whose ends differ by less, the last is the result. Left out, it is 0 for a technique
         and 0.25 where lights or meshes move, since pixels then jump from lit to shadowed and back.
-    - `method`: any least-squares solver or minimiser of optimistix, in place of the one called `name`. It has its own
-        tolerances; of the other fields, `max_steps` and `noise` hold for it, and the latter only for the choice between
-        phases.
+    - `method`: any least-squares solver or minimiser of optimistix, in place of the one called `name`. Such a method
+        has its own tolerances. Of the other fields, only `max_steps` and `noise` apply to it, and `noise` only to the
+        choice between phases.
 
     !!! Example
 
@@ -56,7 +56,8 @@ class Solver(CheckedModule):
 
     @classmethod
     def of(cls, solver: Any) -> "Solver":
-        """A solver as it is, one of optimistix with the default number of steps, and the default for none.
+        """Returns a `Solver` unchanged, wraps a solver of optimistix with the default number of steps, and returns the
+        default for `None`.
 
         **Raises** `TypeError` for any other object.
         """

@@ -43,7 +43,7 @@ class AbstractLight(CheckedModule):
         """
 
     def layer(self, points: Float[Array, "*n 3"]) -> Int[Array, "*n"] | None:
-        """Which of its views sees each of `points`; `None` for a light with one view."""
+        """The index of the view that sees each of `points`; `None` for a light with one view."""
         return None
 
     def cone_fraction(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n"]:

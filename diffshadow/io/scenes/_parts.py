@@ -49,7 +49,7 @@ class SceneCamera(NamedTuple):
 
     - `eye`, `forward`, `up`: its position in world units, and unit vectors.
     - `fov_y`: full vertical field of view in degrees; none of a parallel camera.
-    - `height`: of what a parallel camera sees, world units.
+    - `height`: the height of a parallel camera's view, world units.
     - `aspect`: width over height; none if the file does not say.
     - `near`, `far`: world units; far is none if there is no far plane.
     - `layers`: bits of the layers it sees.
@@ -119,7 +119,7 @@ class SceneFile(NamedTuple):
 
     - `meshes`, `cameras`, `lights`: in the order of the file.
     - `engine`: the engine that the settings are of.
-    - `remarks`: what was left out or taken otherwise than it is, each a sentence without a full stop.
+    - `remarks`: what was left out or changed, each a sentence without a full stop.
     - `left_out`: how many meshes, or parts of meshes, were left out; `remarks` say why.
     """
 

@@ -1,4 +1,4 @@
-"""Biases: what keeps a surface from shadowing itself, one technique per file.
+"""Biases, which keep surfaces from shadowing themselves (acne), one technique per file.
 
 A texel stores one depth for a patch of surface, so a slanted receiver lies partly behind its own stored depth: acne.
 Too much bias lights the shadow close to its caster: peter-panning. Unless noted otherwise, a bias is measured in

@@ -23,9 +23,9 @@ class AdaptiveBias(AbstractBias):
 
     It is made for one nearest look-up. Wider kernels read other texels too: they need a `ReceiverPlane`.
 
-    - `epsilon`: added, in texels. It is the paper's adaptive epsilon, a length converted to window depth at the
-        receiver; the paper's length is a fraction of the scene's size, here it is a fraction of a texel. Rounding is
-        covered separately (`Receiver.rounding`).
+    - `epsilon`: added, in texels. It is the paper's adaptive epsilon, a length that is converted to window depth at the
+        receiver. In the paper, the length is a fraction of the scene's size; here it is a fraction of a texel. Rounding
+        is covered separately (`Receiver.rounding`).
     """
 
     settings: ClassVar = Settings

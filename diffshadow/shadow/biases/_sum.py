@@ -22,10 +22,10 @@ class Bias(AbstractBias):
     """The bias of a shadow mapping: the sum of constant bias, slope bias, normal offset and others.
 
     It is a bias (`AbstractBias`) like each of its parts, and adds them up: `Bias(constant=1.0, slope=2.0)` is a
-    `ConstantBias(1.0)` and a `SlopeBias(2.0)`. A part alone, or a bias of your own, can stand in its place. Its numbers
-    are `bias.constant`, `bias.slope` and so on for a fit.
+    `ConstantBias(1.0)` and a `SlopeBias(2.0)`. A single part, or a bias of your own, can be used instead of the sum.
+    Its numbers are `bias.constant`, `bias.slope` and so on for a fit.
 
-    - `constant`, `slope`, `normal_offset`: a number of texels, or a bias module; none if left out. (A configuration
+    - `constant`, `slope`, `normal_offset`: a number of texels, or a bias module; by default absent. (A configuration
         that says nothing of a bias has a rule of thumb: see `bias_for`.)
     - `terms`: a `LinearBias`, a `PerceptronBias` or none.
     - `plane`: a `ReceiverPlane`, an `AdaptiveBias` or none.

@@ -72,7 +72,7 @@ class AbstractEngineShadows(AbstractTechnique):
 
     - `compare`: how depths are compared; the hard compare is the engine's own.
     - `resolution`: of the map, (height, width) in texels.
-    - `has_layers`: whether cascades are layers of their own rather than parts of one texture.
+    - `has_layers`: whether cascades are separate layers instead of parts of one texture.
     - `subpixels`: steps to a texel; the engine's rasterizer places vertices at whole steps. Most graphics hardware
         has 256, Chromium's software rasterizer 16.
     """
@@ -135,7 +135,7 @@ class AbstractEngineShadows(AbstractTechnique):
 
         **Arguments:**
 
-        - `stored`: (h, w), what the engine's map holds, as read back, with its bottom row first; of a point light
+        - `stored`: (h, w), the content of the engine's map, as read back, with its bottom row first; for a point light
             (6, h, w), its faces in OpenGL's order.
         - `scene`: with the engine's light and the engine's meshes, which say what receives shadows.
 
@@ -184,8 +184,8 @@ class AbstractEngineShadows(AbstractTechnique):
         return scene.light
 
     def frame(self, scene: Scene, distance: float) -> LightFrame:
-        """The camera that the engine gives the light of `scene`, at the `distance` along its axis, in world units. Of
-        several cascades, the first one's.
+        """The camera that the engine gives the light of `scene`, at the `distance` along its axis, in world units. For
+        several cascades, the value of the first.
 
         **Raises** what `light_frame` and `cameras_of` raise.
         """
@@ -216,8 +216,8 @@ class AbstractEngineShadows(AbstractTechnique):
 
     @abc.abstractmethod
     def biased(self, frame: LightFrame, shift: float, offset: float, distance: float) -> "AbstractEngineShadows":
-        """With the engine's own biases that amount to a `shift` towards the light and an `offset` along normals, both
-        in world units; other arguments are as for `frame`.
+        """The same shadows with engine biases that equal a `shift` towards the light and an `offset` along normals,
+        both in world units. Other arguments are as for `frame`.
 
         **Raises** `ValueError` if the engine has no such bias.
         """

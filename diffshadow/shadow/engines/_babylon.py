@@ -68,11 +68,11 @@ class BabylonJs(AbstractEngineShadows):
     - `quality`: the generator's `filteringQuality`, for `PCF` and `PCSS`.
     - `blur_kernel`, `blur_box_offset`, `use_kernel_blur`: of blurred exponential maps: the width in texels of the
         Gaussian, how far the box reaches to each side in texels, and which one is used.
-    - `force_back_faces_only`: whether back faces cast. The engine does it for meshes with its own, clockwise winding,
-        and does nothing for others, such as meshes of its glTF loader: leave it out for these.
+    - `force_back_faces_only`: whether back faces cast. The engine does so for meshes with its own, clockwise winding.
+        For other meshes, such as those of its glTF loader, the setting has no effect: leave it out for these.
     - `back_face_culling`: of the meshes' materials: of all, or of each. Without it both sides cast.
-    - `float_maps`: `usefullFloatFirst`: whether maps hold floats. By default they hold half floats, whose steps are
-        2^-11 for metrics of 1/2 and more, ten times the default bias.
+    - `float_maps`: `usefullFloatFirst`: whether maps hold floats. By default, maps have half floats. Their steps are
+        2^-11 for metrics of at least 1/2, ten times the default bias.
     - `resolution`, `subpixels`, `compare`: see `AbstractEngineShadows`. Maps are square.
 
     Under a point light the engine draws `PCF` and `PCSS` as `POISSONSAMPLING`, and exponential maps without their blur.
@@ -124,10 +124,10 @@ class BabylonJs(AbstractEngineShadows):
     def prepare(self, scene: Scene, surface: Surface | None = None) -> EngineMap:
         """The map of the scene's only light, with depths without bias. It does not depend on `surface`.
 
-        A light is drawn as Babylon.js draws one at the same place: with the frustum of ours, whose up direction becomes
-        +y. The engine's cameras are left-handed. So its map is the mirror image of what ours would see: texels run from
-        right to left, and `orthoLeft` and `orthoRight` are ours with their signs changed, in each other's
-        place. `angle` of a spot light is its full cone in radians. In cube maps the world's y runs the other way.
+        A light is drawn as Babylon.js draws a light at the same place. It has the frustum of our light, and its up
+        direction is +y. The engine's cameras are left-handed. So its map is the mirror image of our light's view:
+        texels run from right to left, and `orthoLeft` and `orthoRight` are our values swapped, with opposite signs.
+        `angle` of a spot light is its full cone in radians. In cube maps the world's y runs the other way.
 
         **Raises** `ValueError` for an area light, or a number of `back_face_culling` that is not the number of meshes.
         """
@@ -207,8 +207,9 @@ class BabylonJs(AbstractEngineShadows):
     def visibility(self, state: EngineMap, surface: Surface) -> Visibility:
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
 
-        What lies beside the light's frustum is lit, and with `PCF` and `PCSS` also what lies before or beyond it; with
-        other filters what lies beyond it stays in shadow. Faces turned away from the light are compared as all others.
+        Points beside the light's frustum are lit. With `PCF` and `PCSS`, points in front of the near plane or beyond
+        the far plane are lit too. With other filters, points beyond the far plane stay in shadow. Faces turned away
+        from the light are compared as all others.
         """
         return _visibility(self, state, surface)
 

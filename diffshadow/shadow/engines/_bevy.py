@@ -54,8 +54,8 @@ class Bevy(AbstractEngineShadows):
     """The shadows of Bevy 0.19 under directional and spot lights.
 
     Fields have the names of the engine's own, in `DirectionalLight`, `SpotLight`, `ShadowFilteringMethod` and
-    `CascadeShadowConfigBuilder`. A directional light's cameras are the engine's: they are fitted to what the scene's
-    camera sees up to `maximum_distance`, and only the direction of the light counts.
+    `CascadeShadowConfigBuilder`. A directional light has the engine's cameras, which are fitted to the view of the
+    scene's camera up to `maximum_distance`. Only the direction of the light matters.
 
     - `shadow_filtering_method`: the camera's: a tent over 5 texels, or one bilinear compare. `Temporal`, whose noise
         changes with time, is not drawn.
@@ -245,7 +245,7 @@ class Bevy(AbstractEngineShadows):
     def visibility(self, state: EngineMap, surface: Surface) -> Visibility:
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
 
-        What lies outside of a directional light's cascade, or beyond the last one, is lit. Under a spot light it is
+        Points outside of a directional light's cascade, or beyond the last cascade, are lit. Under a spot light it is
         compared with the map's border. Faces turned away from the light are compared as all others.
         """
         return _visibility(self, state, surface)

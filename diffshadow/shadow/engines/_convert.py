@@ -140,10 +140,10 @@ def engine_settings(
     - `resolution`: (height, width) of the map, in texels.
     - `bias`: towards the light, in world units.
     - `normal_offset`: in texels.
-    - `distance`: along the light's axis, in world units, at which settings hold that vary with it; ignored for a
-        directional light.
-    - `profile`: of the normal offset. Engines with another profile are left out, unless the offset is 0; None takes an
-        engine's own profile for the same.
+    - `distance`: along the light's axis, in world units. Settings that vary with the distance are given for this
+        distance. Ignored for a directional light.
+    - `profile`: of the normal offset. Engines with another profile are left out, unless the offset is 0. `None` ignores
+        the difference between profiles.
     - `power`: of the distance with which the bias grows: 0 for world units, 1 for texels, 2 for window depth. Notes say
         which settings grow otherwise. `offset_power`: the same of the normal offset.
     - `softness`: how many times the engine applies what is set: Godot, under directional lights, `shadow_blur` times

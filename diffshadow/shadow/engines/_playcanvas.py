@@ -80,8 +80,8 @@ _AWAY = 1e6
 class PlayCanvas(AbstractEngineShadows):
     """The shadows of PlayCanvas 2.23, as it draws them on WebGL2 with `scene.clusteredLightingEnabled = false`.
 
-    Fields have the names of the engine's own, in `LightComponent`. A directional light's cameras are the engine's: they
-    are fitted to what the scene's camera sees up to `shadow_distance`, and only the direction of the light counts.
+    Fields have the names of the engine's own, in `LightComponent`. A directional light has the engine's cameras, which
+    are fitted to the view of the scene's camera up to `shadow_distance`. Only the direction of the light matters.
 
     - `shadow_type`: the filter: one bilinear compare, or a tent over 3 or 5 texels. Under a point light, four compares
         for the last two.
@@ -213,7 +213,7 @@ class PlayCanvas(AbstractEngineShadows):
         return EngineCameras.of(cameras, False, scene.camera, ends)
 
     def plain(self, frame: LightFrame, distance: float) -> PlainBias:
-        """Without the polygon offset, which no other engine lets one set."""
+        """The same without the polygon offset, which cannot be set in any other engine."""
         radius = castano_radius(_SIZES[self.shadow_type])
         offset = float(self.normal_offset_bias)
         if frame.kind == "point":
@@ -285,8 +285,8 @@ class PlayCanvas(AbstractEngineShadows):
     def visibility(self, state: EngineMap, surface: Surface) -> Visibility:
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
 
-        What lies beyond the light's range, cone or `shadow_distance` is lit. Elsewhere, what lies outside of the map is
-        compared with its border. Faces turned away from the light are compared as all others.
+        Points beyond the light's range, cone or `shadow_distance` are lit. Other points outside of the map are compared
+        with the map's border. Faces turned away from the light are compared as all others.
         """
         return _visibility(self, state, surface)
 

@@ -48,9 +48,9 @@ class ThreeJs(AbstractEngineShadows):
     - `blur_samples`: taps of the box along each axis (VSM).
     - `side`: of the meshes' materials, `"front"`, `"back"` or `"double"`: of all, or of each. Back sides negate
         `normal_bias`.
-    - `shadow_side`: of the materials too; which faces cast. If it is left out, or None for one of the meshes, front
-        sides cast their back faces, back sides their front faces and double sides both; with VSM, what `side` says. So
-        a closed mesh has no acne, and a single ground plane casts nothing.
+    - `shadow_side`: of the materials too; which faces cast. If left out, or `None` for one of the meshes, `side`
+        decides: with `"front"` back faces cast, with `"back"` front faces, and with `"double"` both. With VSM, the
+        faces that `side` names cast. So a closed mesh has no acne, and a single ground plane casts nothing.
     - `reversed_depth`: whether the renderer has `reversedDepthBuffer`: surfaces beyond far are in shadow then.
     - `resolution`, `subpixels`, `compare`: see `AbstractEngineShadows`.
 
@@ -156,7 +156,7 @@ class ThreeJs(AbstractEngineShadows):
     def visibility(self, state: EngineMap, surface: Surface) -> Visibility:
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
 
-        What lies outside of the light's frustum is lit. Faces turned away from the light are compared as all others.
+        Points outside of the light's frustum are lit. Faces turned away from the light are compared as all others.
         """
         return _visibility(self, state, surface)
 

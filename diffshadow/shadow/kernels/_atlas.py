@@ -22,8 +22,8 @@ _MARGIN = 16
 class Atlas(eqx.Module):
     """Maps of one size, one after another, padded for look-ups.
 
-    A program that reads many maps in turn, or one map often, would otherwise copy and pad each before it reads a few of
-    its texels.
+    Otherwise a program that reads many maps in turn, or one map often, would copy and pad a whole map for each read of
+    a few texels.
 
     - `texels`: (n,), the depths of all maps and their layers.
     - `shape`: the shape of each map's depths, (h, w) or (l, h, w).

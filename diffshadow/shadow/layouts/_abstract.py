@@ -45,7 +45,7 @@ class AbstractLayout(CheckedModule):
 
         - `camera`: where the image is drawn from.
         - `resolution`: (height, width) of each layer, in texels, or of what `layer_resolution` says.
-        - `surface`: what the camera sees; required if `needs_surface`, and otherwise ignored.
+        - `surface`: the surface that the camera sees; required if `needs_surface`, and otherwise ignored.
 
         **Raises** `ValueError` if the layout does not suit the light or the camera.
         """

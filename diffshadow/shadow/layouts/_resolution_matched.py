@@ -44,9 +44,9 @@ class ResolutionMatched(AbstractFittedLayout):
     (`PagedLight.raised`). Every part of the scene has a page, but texels get larger, and shadows narrower than a texel
     may be lost. In the end, only the root is resident: a plain map with as many texels as a page.
 
-    A point is looked up in the finest resident page that contains it. That is the page that it requested, or a finer
-    one that another point requested. Pages that no point is then looked up in are not drawn. Points that the camera
-    does not see are looked up in the same way, in the root if in no other.
+    A point is looked up in the finest resident page that contains it. This is the page that the point requested, or a
+    finer page that another point requested. Pages that no point is then looked up in are not drawn. Points that the
+    camera does not see are looked up in the same way, in the root if in no other.
 
     Biases and radii of filters are in texels of the page, so that shadows are as sharp as the screen everywhere, and
     filters change in width where levels do. A page is drawn with a gutter, so that filters meet no seam. A map with
@@ -58,7 +58,7 @@ class ResolutionMatched(AbstractFittedLayout):
     - `norm`: `"area"` matches the area of a texel to a pixel's area, `"worst"` the longest extent to a pixel's side,
         so that nothing is undersampled, with more texels.
     - `level_bias`: added to all levels before they are rounded down, -16 to 16: -1 halves the side of a texel on the
-        screen. It is raised if pages do not fit, so a low one fills the memory there is.
+        screen. It is raised if pages do not fit, so a low value fills the available memory.
     - `shadow_distance`: the depth along the camera's axis, in world units, beyond which nothing is shadowed; none for
         the camera's far.
     - `margin`: the width of the gutter in texels, rounded up, at most half of `page`: at least the greatest radius of

@@ -152,7 +152,7 @@ def print_defaults(
     engine: EngineName | None = None,
     of_map: LightOptions | None = None,
 ) -> None:
-    """Prints the biases that hold over many scenes, and what they are worth.
+    """Prints biases that work in many scenes, and how much more error than a fit they have.
 
     **Arguments:**
 

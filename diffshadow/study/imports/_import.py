@@ -34,7 +34,8 @@ def import_scene(
     shadow_type: ShadowType = ThreeJs.shadow_type,
     output: str | os.PathLike[str] | None = None,
 ) -> Path:
-    """Writes the configuration of a scene's file, and its meshes beside it. Says what is taken over and what is not.
+    """Writes the configuration of a scene's file, and its meshes beside it. Prints what is imported and what is left
+    out.
 
     **Arguments:**
 

@@ -74,7 +74,7 @@ def convert(
     **Arguments:**
 
     - `origin`: where the values of `config` come from, as a part of a sentence.
-    - `source`, `overrides`: what the user gave: a file or a folder, and values in place of its own.
+    - `source`, `overrides`: the user's arguments: a file or a folder, and values that replace the file's values.
     - `fits`: whether engines that lack the bias are fitted.
     - `engine`: the only engine to convert to. Its finished code is printed in place of a table.
 
