@@ -37,8 +37,9 @@ def collect_rarely() -> None:
     """Makes Python's garbage collector run less often.
 
     Imports and traces make millions of objects that stay. Otherwise the collector searches all of these objects
-    repeatedly, which takes a sixth of the time of imports and traces. Arrays do not wait for it. As the process ends,
-    the collector looks through nothing, which spares a second after a fit. The command `diffshadow` calls this itself.
+    repeatedly, which takes a sixth of the time of imports and traces. The memory of arrays is freed without the
+    collector. At the end of the process, the collector does not run, which saves a second after a fit. The command
+    `diffshadow` calls this itself.
     """
     gc.set_threshold(*_RARELY)
     atexit.register(gc.freeze)

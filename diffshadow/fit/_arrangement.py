@@ -23,7 +23,7 @@ class MeshPose(eqx.Module):
     - `vertices`: positions of single vertices before translation and rotation, world units, by their index as text.
         Vertices at the same position move together, and shading normals follow them.
     - `home`: (3,), the value of `translate` at which the mesh is not translated.
-    - `smoothing`: over which faces shading normals are smooth at these vertices; none without any.
+    - `smoothing`: the faces over which shading normals are smooth at these vertices; `None` without such vertices.
     - `albedo`: the colour of all its faces; `None` to keep its colours.
     """
 
@@ -95,8 +95,8 @@ class Arrangement(eqx.Module):
     - `technique`: the shadow mapping.
     - `lights`: the pose of each light.
     - `meshes`: the pose of each mesh.
-    - `camera`, `shading`, `exposure`: the camera's pose, the shading, and by how many stops the picture is lightened,
-        for a fit to a picture; none in other fits.
+    - `camera`, `shading`, `exposure`: the camera's pose, the shading, and by how many stops the picture is brightened,
+        for a fit to a picture; `None` in other fits.
     """
 
     technique: ShadowMapping
@@ -133,7 +133,7 @@ class Arrangement(eqx.Module):
         return dataclasses.replace(self, camera=scene.camera.pose(), shading=shading, exposure=as_float(exposure))
 
     def placed(self, scene: Scene) -> Scene:
-        """`scene`, whose lights, meshes and camera the arrangement is of, as they are arranged.
+        """`scene` with the lights, meshes and camera of the arrangement.
 
         Lights that can be refitted have the frustum of their shadow map fitted to the meshes. `io.write_gltf` writes
         such a scene for other programs.

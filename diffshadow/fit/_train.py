@@ -45,9 +45,9 @@ class TrainingPhase(NamedTuple):
 class Training(NamedTuple):
     """What a training found.
 
-    - `technique`: the trained one, with the hard compare.
+    - `technique`: the trained technique, with the hard compare.
     - `initial_loss`, `loss`: its mean square error over all views under the hard compare, before and after.
-    - `phases`: how each went; `chosen`: which of them ended best, -1 if the start was best.
+    - `phases`: the result of each phase; `chosen`: the phase that ended best, -1 if the start was best.
     """
 
     technique: FittableTechnique
@@ -74,13 +74,13 @@ def train(
 
     **Arguments:**
 
-    - `problems`: views. They start from the technique of the first.
-    - `where`: selects what is trained of a technique: a module or several, whose inexact arrays all are. Calls with
-        the same function share their compiled programs.
+    - `problems`: views. Training starts from the technique of the first view.
+    - `where`: a function of a technique that returns the trained part: one module or several. All of their
+        floating-point arrays are trained. Calls with the same function share their compiled programs.
     - `lower`: the least value of the trained numbers, minus infinity for no limit. A number, or a tree of numbers with
         the structure of the result of `where` or of its upper part.
-    - `solver`, `anneal`: defaults if left out. Levenberg-Marquardt and dogleg find a derivative for each number and
-        pixel, which suits some tens of numbers; the others find the loss' gradient in reverse mode.
+    - `solver`, `anneal`: defaults if left out. Levenberg-Marquardt and dogleg compute a derivative for each number and
+        pixel, which suits some tens of numbers. The other solvers compute the loss' gradient in reverse mode.
     - `on_phase`: called after each phase. Left out, `diffshadow.setup` decides whether a line shows them.
 
     **Raises** `ValueError` if there is no view, no pixel of a view counts, nothing is selected, or a number starts

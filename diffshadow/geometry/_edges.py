@@ -27,8 +27,8 @@ NO_NEIGHBOUR = -1
 class Edges(eqx.Module):
     """The edges of a mesh. Vertices at the same place count as one vertex, even if their indices differ.
 
-    - `vertices`: (e, 2), the ends, indices into the mesh's vertices; of several at one place, the first. The first
-        face traverses the edge from the first end to the second.
+    - `vertices`: (e, 2), the ends, as indices into the mesh's vertices. If several vertices are at one place, the first
+        of them. The first face traverses the edge from the first end to the second.
     - `faces`: (e, 2), the faces that meet there; the second is `NO_NEIGHBOUR` if there is only one.
     - `directions`: (e, 2), +1 if the face traverses the edge from its first end to its second, -1 if it traverses it
         backwards, 0 if there is no face. The first is always +1; the second is -1 if both faces have the same winding.
@@ -72,8 +72,8 @@ class Edges(eqx.Module):
         return cls(ends, meeting, directions, as_int(component), solid, bool(closed.all()))
 
     def renumbered(self, vertices: Int[HostArray, " v"], faces: Int[HostArray, " f"]) -> "Edges":
-        """The edges of the same mesh among others: its vertex `i` is their `vertices[i]`, and its face `i` their
-        `faces[i]`."""
+        """The edges after the mesh was merged with others: its vertex `i` is `vertices[i]` of the merged mesh, and its
+        face `i` is `faces[i]`."""
         own = np.asarray(self.faces)
         component = np.zeros(faces.max() + 1, int)
         component[faces] = self.component

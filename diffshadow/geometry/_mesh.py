@@ -49,10 +49,11 @@ class Mesh(eqx.Module):
     - `corner_normals`: (f, 3, 3), a unit shading normal for each corner of each face, so that creases have one per
         side. Defaults to the face normals.
     - `albedo`: (f, 3), diffuse colour in [0, 1]. Defaults to light grey; to white with `corner_colours` or `textures`.
-    - `corner_colours`: (f, 3, 3), a colour in [0, 1] for each corner of each face; or none.
-    - `textures`: of the faces; or none.
+    - `corner_colours`: (f, 3, 3), a colour in [0, 1] for each corner of each face; or `None`.
+    - `textures`: of the faces; or `None`.
 
-    The diffuse colour of a point is `albedo`, times the mean of the corners' colours there, times the texture's.
+    The diffuse colour of a point is the product of `albedo`, the interpolated colour of the corners, and the texture's
+    colour.
 
     **Raises** `ValueError` if there is no face, a vertex is not finite, a face has an index out of range, an albedo or
     a colour is out of its range, or an array has another shape or type.
@@ -142,10 +143,10 @@ class Mesh(eqx.Module):
 
         - `given`: a `trimesh.Trimesh`; a `trimesh.Scene`, whose meshes are merged with the transforms of its graph; or
             an object with `vertices` (v, 3) and triangular `faces` (f, 3). Colours of faces, vertices and materials
-            become albedo as they are. A texture of base colour needs texture coordinates (`visual.uv`); its colours
-            are sRGB, and linear here. It repeats and is bilinear, since trimesh keeps no samplers. A glTF material's
-            alpha test is obeyed.
-        - `crease_angle`: degrees; edges bent by more are shaded sharp (`crease_normals`). None for the object's own
+            become albedo without conversion. A texture of base colour needs texture coordinates (`visual.uv`). Its sRGB
+            colours are converted to linear colours. It repeats and is bilinear, since trimesh keeps no samplers. A glTF
+            material's alpha test is obeyed.
+        - `crease_angle`: degrees; edges bent by more are shaded sharp (`crease_normals`). `None` for the object's own
             `vertex_normals`.
 
         **Warns** of geometries of a scene that have no faces, such as paths, which are left out.

@@ -42,7 +42,7 @@ class Scene(eqx.Module):
         directional, point and spot lights are used. Their shadow maps are fitted to the meshes, and their colours,
         intensities and ranges are ignored.
     - `casts`: for each mesh, whether it casts a shadow; all cast if left out. A mesh that does not cast still receives
-        shadows. It blocks no ray of the ray-traced reference either, unless that asks for `blockers="all"`.
+        shadows. It also blocks no ray of the ray-traced reference, unless the reference has `blockers="all"`.
     - `receives`: for each mesh, whether engines show shadows on it; on all if left out. Other techniques show them on
         all meshes.
     - `origin`: the world point that the coordinates of meshes, camera and lights are counted from. A scene far from the
@@ -161,7 +161,7 @@ class Scene(eqx.Module):
 
     @property
     def receivers(self) -> Mesh | None:
-        """The meshes that only receive, merged; none if all cast."""
+        """The meshes that only receive, merged; `None` if all cast."""
         meshes = [mesh for mesh, casts in zip(self.meshes, self._casts, strict=True) if not casts]
         return merge(meshes) if meshes else None
 

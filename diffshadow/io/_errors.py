@@ -57,7 +57,7 @@ def _chain(error: BaseException | None) -> Iterator[BaseException]:
 
 
 class FileWarning(UserWarning):
-    """A file was read, but not all of it, or not as it says."""
+    """A file was read, but parts of it were left out or changed."""
 
 
 class MeshWarning(FileWarning):
@@ -65,7 +65,7 @@ class MeshWarning(FileWarning):
 
 
 class ImageWarning(FileWarning):
-    """An image file says something of its pixels that is not obeyed, or holds more than was read."""
+    """An image file has metadata that was ignored, or more content than was read."""
 
 
 class MeshError(Exception):

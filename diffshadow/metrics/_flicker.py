@@ -17,7 +17,8 @@ def flicker(visibility: ArrayLike, reference: ArrayLike, mask: ArrayLike | None 
     **Arguments:**
 
     - `visibility`, `reference`: (n, h, w), in [0, 1], of at least two frames.
-    - `mask`: (n, h, w), the pixels that count; all of them by default. A pixel counts where it does in both frames.
+    - `mask`: (n, h, w), the pixels that count; all of them by default. A pixel counts in a pair of frames if it counts
+        in both.
 
     **Raises** `ValueError` if there are fewer than two frames, shapes differ, two frames have no pixel in common, or a
     value in the mask is not finite.

@@ -96,7 +96,7 @@ def _at_pixels(values: Array, face: FaceMap) -> Array:
 class Barycentrics(eqx.Module):
     """Where on its face each pixel's centre lies.
 
-    - `face`: (h, w), the face, 0 where there is none; `mask`: (h, w), whether there is one.
+    - `face`: (h, w), the face, 0 where there is no face; `mask`: (h, w), whether there is a face.
     - `weights`: (h, w, 3), perspective-correct barycentric coordinates, which sum to 1.
     """
 
@@ -203,7 +203,7 @@ def visible_depth(
 
     **Arguments:** as for `barycentrics`, and
 
-    - `tile`: of face maps (l, h, w), or one, of square tiles of a virtual image, which part each is.
+    - `tile`: for face maps (l, h, w) that are square tiles of a virtual image, the place of each tile.
     """
     if tile is not None:
         flat, tiles = face.reshape(-1, face.shape[-1]), Tile(tile.origin.reshape(-1, 2), tile.size.reshape(-1))

@@ -126,9 +126,9 @@ class InputFile:
 
 @dataclass(frozen=True)
 class Setting:
-    """A value that can be set.
+    """One setting: its type, default, limits, unit and meaning.
 
-    - `kind`: its bare type; `marks`: limits, its unit and so on. Plain text among the marks is its meaning.
+    - `kind`: its type without marks; `marks`: limits, its unit and so on. Plain text among the marks is its meaning.
     - `default`: `MISSING` if it must be given.
     - `optional`: whether `None` is allowed.
     """
@@ -190,7 +190,7 @@ class Setting:
         return Setting.of(kinds[0] if kinds[-1] is Ellipsis else kinds[index])
 
     def paths(self, key: str) -> tuple[str, ...]:
-        """Where the setting `key` stands in its module. The word that selects a class stands nowhere."""
+        """The path of the setting `key` in its module. The `type` that selects a class has no path."""
         return next((mark.paths for mark in self.marks if isinstance(mark, At)), () if key == "type" else (key,))
 
     def expected(self, unit: str | None = None) -> str:

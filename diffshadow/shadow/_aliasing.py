@@ -23,9 +23,9 @@ class Aliasing(eqx.Module):
 
     - `jacobian`: (h, w, 2, 2), the motion of a surface point on the screen, in pixels along x and y (rows), if it moves
         by one texel along the map's x and y (columns).
-    - `perspective`: (h, w, 2, 2), the same of a surface that leans as much towards the camera as towards the light, so
-        that only the two perspectives count. What remains is projection aliasing: it grows as light grazes the surface.
-    - `mask`: (h, w), where it is measured: at surfaces in the map that face the light.
+    - `perspective`: (h, w, 2, 2), the same for a surface that leans equally towards the camera and the light, so that
+        only the two perspectives matter. The rest is projection aliasing, which grows when light grazes the surface.
+    - `mask`: (h, w), the pixels where it is measured: surfaces in the map that face the light.
     """
 
     jacobian: Jacobian

@@ -23,8 +23,8 @@ from ._technique import AbstractTechnique
 class IrregularScene(eqx.Module):
     """The input of an irregular z-buffer.
 
-    - `mesh`: all surfaces; `casts`: (f,), which of its faces cast.
-    - `light`: whose views the points are sorted in.
+    - `mesh`: all surfaces; `casts`: (f,), whether each of its faces casts.
+    - `light`: the light in whose views the points are sorted.
     """
 
     mesh: Mesh
@@ -48,7 +48,7 @@ class IrregularZBuffer(AbstractTechnique):
     settings: ClassVar = techniques.IrregularZBuffer
 
     def prepare(self, scene: Scene, surface: Surface | None = None) -> IrregularScene:
-        """The scene's triangles. It does not depend on `surface`: the points are sorted by `visibility`."""
+        """The scene's triangles. It does not depend on `surface`, whose points `visibility` sorts."""
         mesh = scene.mesh.padded()
         casts = padded_to(scene.casting_faces, mesh.faces.shape[0])
         return IrregularScene(mesh, as_array(casts), scene.light)

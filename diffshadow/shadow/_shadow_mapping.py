@@ -36,7 +36,7 @@ class ShadowMapping(AbstractTechnique):
     """Shadow mapping (Williams 1978).
 
     - `filter`: where the map is tapped, and how the taps are weighted.
-    - `bias`: what keeps surfaces from shadowing themselves.
+    - `bias`: keeps surfaces from shadowing themselves (acne).
     - `compare`: how depths are compared.
     - `map`: how the map is drawn.
     - `layout`: how the map's texels are laid out over the scene.
@@ -71,7 +71,7 @@ class ShadowMapping(AbstractTechnique):
 
     @property
     def reach(self) -> float | None:
-        """How far from a receiver the map is read, in texels, with the normal offset; none if that is not known."""
+        """How far from a receiver the map is read, in texels, including the normal offset; `None` if not known."""
         return None if self.filter.reach is None else self.filter.reach + self.bias.reach
 
     @property
@@ -88,8 +88,9 @@ class ShadowMapping(AbstractTechnique):
         **Arguments:**
 
         - `surface`: as for `prepare`.
-        - `margin`: for how many times the silhouettes of this scene there is memory.
-        - `raises`: whether a map of more silhouettes is an error. Otherwise `ShadowMap.overflow` says which maps are.
+        - `margin`: the memory, as a multiple of the memory for the silhouettes of this scene.
+        - `raises`: whether a map of more silhouettes is an error. Otherwise `ShadowMap.overflow` says whether a map has
+            more.
 
         **Raises** `ValueError` inside `jax.jit`, and what the layout raises.
         """

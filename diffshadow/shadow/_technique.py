@@ -16,17 +16,17 @@ class AbstractTechnique(CheckedModule):
     """Draws the shadows of a scene in two steps.
 
     `prepare` makes a state from the light's view: a shadow map, a texture, or the edges to extrude. `visibility` makes
-    an image from the state. The state depends on meshes, light and, for some techniques, the camera. The state does not
-    depend on bias or filter, so one state works for all biases and filters.
+    an image from the state. The state depends on meshes, light and, for some techniques, the camera. It does not depend
+    on bias or filter, so one state works for all biases and filters.
 
-    What the state is depends on the technique, so it has no type in common: `ShadowMapping` makes a `ShadowMap`, an
-    engine's technique an `EngineMap`, `ProjectiveShadow` a `ProjectiveTexture`. Other techniques, including your own,
-    may have their own class of state. Callers hand it on as it is.
+    Each technique has its own class of state: `ShadowMapping` makes a `ShadowMap`, an engine's technique an
+    `EngineMap`, `ProjectiveShadow` a `ProjectiveTexture`. Other techniques, including your own, may have their own
+    class of state. Callers only pass it on.
     """
 
     @abc.abstractmethod
     def prepare(self, scene: Scene, surface: Surface | None = None) -> Any:
-        """The technique's state: what it draws once for the scene's only light, such as a `ShadowMap`.
+        """The technique's state, such as a `ShadowMap`, which is drawn once for the scene's only light.
 
         **Arguments:**
 
@@ -42,7 +42,7 @@ class AbstractTechnique(CheckedModule):
 
         **Arguments:**
 
-        - `state`: as `prepare` returns it.
+        - `state`: the result of `prepare`.
         - `surface`: the surface of `scene.mesh` that a camera sees. Pixels without a surface are lit.
         """
 
@@ -52,7 +52,7 @@ class AbstractTechnique(CheckedModule):
         technique's maps."""
 
     def casting_sides(self, scene: Scene) -> tuple[Side | None, ...]:
-        """The faces of each mesh that cast shadows, by the side that the light sees; `"none"` for a mesh that does not
+        """The faces of each mesh that cast shadows, by the side that the light sees; `None` for a mesh that does not
         cast."""
         return of_casters(["double" for _ in scene.meshes], scene)
 

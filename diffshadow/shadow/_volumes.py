@@ -58,7 +58,7 @@ class VolumeScene(eqx.Module):
     """The input of shadow volumes.
 
     - `casters`: visible, and cast shadows. Volumes are watertight if coincident vertices are bitwise equal.
-    - `light`, `camera`: where volumes are extruded from, and where they are seen from.
+    - `light`, `camera`: the light that extrudes the volumes, and the camera that sees them.
     - `edges`: of `casters`.
     - `receivers`: surfaces that are visible but cast no shadow, or `None`.
     """
@@ -86,9 +86,10 @@ class Volumes(eqx.Module):
 class ShadowVolumes(AbstractTechnique):
     """Hard shadows by counting the shadow volumes around each visible surface point.
 
-    - `method`: which faces of volumes are counted. `"z_fail"`: those at or behind the surface, with volumes capped at
-        both ends (Bilodeau & Songy 1999; Carmack 2000); correct wherever the eye is. `"z_pass"`: those in front of the
-        surface, without caps; cheaper, but wrong if the eye is inside a volume or the near plane cuts one.
+    - `method`: the faces of volumes that are counted. `"z_fail"`: faces at or behind the surface, with volumes capped
+        at both ends (Bilodeau & Songy 1999; Carmack 2000); correct for every position of the eye. `"z_pass"`: faces in
+        front of the surface, without caps; cheaper, but wrong if the eye is inside a volume or the near plane cuts a
+        volume.
 
     Every light is a point light or a directional one: a spot light's cone is ignored, and so is a light's size.
 
@@ -129,7 +130,7 @@ class ShadowVolumes(AbstractTechnique):
 
         **Arguments:**
 
-        - `surface`: ignored: the faces that the state's camera sees are drawn again, in double precision.
+        - `surface`: ignored, since the faces that the state's camera sees are drawn again, in double precision.
         """
         found = self._count(state)
         return as_float((found.counts == 0) & found.lit_side | ~found.seen)

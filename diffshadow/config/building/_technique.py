@@ -56,7 +56,7 @@ def build_shadow_mapping(config: Config, *, fitting: bool = True) -> shadow.Shad
 
 
 def build_fittable(config: Config, *, fitting: bool = True) -> Any:
-    """The technique of `config` that a fit changes: an engine's, a user's, or shadow mapping; otherwise as
+    """The technique of `config` that a fit changes: an engine's, a user's, or shadow mapping. Everything else is as in
     `build_technique`."""
     section = config.technique
     if not section.is_whole:

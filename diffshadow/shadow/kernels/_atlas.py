@@ -34,7 +34,7 @@ class Atlas(eqx.Module):
 
     @classmethod
     def of(cls, maps: Sequence[ShadowMap]) -> "Atlas":
-        """Of maps without silhouettes whose depths have one shape."""
+        """The atlas of maps without silhouettes whose depths have the same shape."""
         shape, dtype = maps[0].depth.shape, maps[0].depth.dtype
         # One after another, so that there is never a second copy of all.
         texels = as_array(np.zeros(cls.size(len(maps), shape), dtype))
@@ -44,7 +44,7 @@ class Atlas(eqx.Module):
 
     @staticmethod
     def size(maps: int, shape: tuple[int, ...]) -> int:
-        """How many texels so many maps of this shape take."""
+        """The number of texels of so many maps of this shape."""
         return maps * math.prod(shape[:-2]) * (shape[-2] + 2 * _MARGIN) * (shape[-1] + 2 * _MARGIN)
 
     def reading(self, shadow_map: ShadowMap, number: Int[Array, ""]) -> ShadowMap:

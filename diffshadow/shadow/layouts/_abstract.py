@@ -29,7 +29,8 @@ class Choice(NamedTuple):
 
 
 class AbstractLayout(CheckedModule):
-    """Which parts of the scene the layers of a shadow map show, and which layers each receiver is looked up in."""
+    """A layout decides which parts of the scene the layers of a shadow map show, and in which layers each receiver is
+    looked up."""
 
     @abc.abstractmethod
     def light(
@@ -59,8 +60,8 @@ class AbstractLayout(CheckedModule):
     def differentiable(self) -> tuple[str, ...]:
         """Names of the numbers with respect to which visibility has a derivative.
 
-        The others lay out the map. Its texels jump as these change, so that visibility has no useful derivative with
-        respect to them.
+        The other numbers lay out the map. The map's texels jump when these numbers change, so visibility has no useful
+        derivative with respect to them.
         """
         return ()
 
@@ -77,14 +78,14 @@ class AbstractLayout(CheckedModule):
         """The layers that `points` (h, w, 3), in world units, are looked up in; `light` is as `light` returns it."""
 
     def map_figure(self, light: AbstractLight) -> MapFigure | None:
-        """How a figure names the layers of the map of `light`; none if they need no names."""
+        """The names of the layers of the map of `light` in figures; `None` if they need no names."""
         return None
 
     def layer_figure(self, light: AbstractLight, surface: Surface) -> LayerFigure | None:
-        """Which layers `surface` is looked up in, for a figure; none if there is nothing to show."""
+        """A figure of the layers in which `surface` is looked up; `None` if there is nothing to show."""
         return None
 
     def remarks(self, light: AbstractLight) -> tuple[str, ...]:
-        """What the map of `light` lacks, for which other settings would help: sentences without their subject, the
+        """Remarks on faults of the map of `light` that other settings would mend: sentences without their subject, the
         light."""
         return ()

@@ -37,19 +37,19 @@ _EDGES = np.array([(k, k | bit) for bit in (1, 2, 4) for k in range(8) if not k 
 
 
 class PerspectiveWarp(AbstractFittedLayout):
-    """One map for a directional light, warped by a perspective so that what is close to the camera gets more texels.
+    """One map for a directional light, warped by a perspective so that surfaces close to the camera get more texels.
 
-    The map shows the part of the light's own map that the camera sees. Its y axis follows the camera's view, and a
-    perspective along it enlarges its lower end, at the camera (`geometry.Warp`). Depth remains linear, so biases mean
-    the same as in other maps, in texels of the size that they have at the receiver. Radii of filters are in texels too,
-    which are longer along the view than across it, or shorter: a disk in the map is an ellipse on the surface. A map
-    with silhouettes, or a polygon offset, cannot be warped.
+    The map shows the part of the light's own map that the camera sees. The map's y axis follows the camera's view. A
+    perspective along this axis enlarges the map's lower end, at the camera (`geometry.Warp`). Depth remains linear, so
+    biases mean the same as in other maps. Their unit is the size of a texel at the receiver. Radii of filters are also
+    in texels. Texels are longer or shorter along the view than across it, so a disk in the map is an ellipse on the
+    surface. A map with silhouettes, or a polygon offset, cannot be warped.
 
     Let z₀ be the least depth that the map shows, γ the angle between light and view, d the height of the map in world
     units, and z₁ = `z₀ + d sin γ`. The strength w of the warp is
 
-    - `"lispsm"`: `sqrt(z₁ / z₀) - 1`, which makes perspective aliasing along the view equal at both ends, and the
-        greatest as small as possible (Wimmer, Scherzer & Purgathofer 2004, as revised in 2005);
+    - `"lispsm"`: `sqrt(z₁ / z₀) - 1`, which makes perspective aliasing along the view equal at both ends, and its
+        maximum as small as possible (Wimmer, Scherzer & Purgathofer 2004, as revised in 2005);
     - `"perspective"`: `z₁ / z₀ - 1`, the strength of perspective shadow maps (Stamminger & Drettakis 2002). They warp
         space as the camera does. Here the perspective runs along the map, so there are no singular cases;
     - `"trapezoidal"`: the region within the `focus` gets 80 % of the map (trapezoidal shadow maps, Martin & Tan 2004),
@@ -71,14 +71,14 @@ class PerspectiveWarp(AbstractFittedLayout):
     A plane's depth is linear over the map only to first order. A `ReceiverPlane` under a filter of radius r texels
     needs a `fudge` of up to `w (r + 1)² / h`, h being the map's height in texels.
 
-    - `method`: how the strength is found.
-    - `strength`: w itself, 0 or more, instead of what `method` finds; 0 for a map without a warp.
+    - `method`: the rule for the strength.
+    - `strength`: w itself, 0 or more, instead of the value from `method`; 0 for a map without a warp.
     - `focus`: for `"trapezoidal"`, the part of d at the camera's end that 80 % of the map shows, in (0, 1].
     - `shadow_distance`: the depth along the camera's axis, in world units, beyond which nothing is shadowed; the
         camera's far if left out.
-    - `depths`: which depths the map shows. `"camera"`: from the camera's near to its far. `"surface"`: from the least
-        to the greatest depth of the surface that it sees, so that no texels show the empty space before it. Defaults to
-        `"surface"` for `"perspective"`, and to `"camera"` for the other methods.
+    - `depths`: the depths that the map shows. `"camera"`: from the camera's near to its far. `"surface"`: from the
+        least to the greatest depth of the surface that it sees, so that no texels are spent on empty space in front of
+        the surface. Defaults to `"surface"` for `"perspective"`, and to `"camera"` for the other methods.
     - `margin`: how far the map extends beyond what the camera sees, in texels, so that filters read no texels beyond
         the border: at least the greatest radius of the filter, plus half a texel if its look-ups are bilinear, plus any
         normal offset. At the far end, the margin is narrower if `strength` is set above `1 / (2 m)`.

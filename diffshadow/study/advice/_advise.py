@@ -55,8 +55,8 @@ def run_advise(advice: Advice, *, console: Console, scheduler: str | None = None
     """Fits every technique of `advice` that is not fitted yet, times all of them in turns, prints a ranking and a
     verdict, and writes a page and the recommended configuration. For an engine, it ends with the code to paste.
 
-    Fits are done as in `run_sweep`, whose arguments and errors these are. Techniques are timed once all are fitted, in
-    this process; what was measured is kept.
+    Fits are done as in `run_sweep`, with the same arguments and errors. All techniques are timed in this process after
+    the last fit, and the times are stored.
 
     **Returns** the folder, `<output>/<name>-advise`, for an engine `<output>/<name>-advise-<engine>`.
 

@@ -156,8 +156,9 @@ def print_defaults(
 
     **Arguments:**
 
-    - `filter`, `radius`: a filter's type and its radius in texels. Its bias is printed as a part of a configuration.
-    - `engine`: whose settings are printed instead, for its default filter.
+    - `filter`, `radius`: a filter's type and its radius in texels. The filter's bias is printed as a part of a
+        configuration.
+    - `engine`: an engine whose settings are printed instead, for its default filter.
     - `of_map`: the engine's light and map; for a directional light by default the engine's own.
 
     **Raises** `ValueError` for a filter without a rule, and for options that do not go together.

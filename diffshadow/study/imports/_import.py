@@ -39,8 +39,8 @@ def import_scene(
 
     **Arguments:**
 
-    - `path`: a JSON file of three.js, GLB, glTF 2.0, or any mesh file. A camera, a light and a ground that it lacks
-        are added.
+    - `path`: a JSON file of three.js, GLB, glTF 2.0, or any mesh file. If the file lacks a camera, a light or a ground,
+        it is added.
     - `camera`, `light`: names; by default the first camera, and the first light that casts shadows. `camera` may also
         be a scene's file that holds a camera.
     - `shadow_type`: `renderer.shadowMap.type`, which no scene's file holds.

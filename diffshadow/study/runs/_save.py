@@ -23,9 +23,9 @@ def save_fit(result: fit.FitResult, folder: str | os.PathLike[str], *, names: Se
     """Writes a fit that was made in Python: the folder and the report of `diffshadow fit`.
 
     The folder has `result.json`, `arrays.npz`, pictures and `report.html`. `diffshadow report` and `diffshadow compare`
-    read it like the folder of any run. It has no configuration, so there are no `config.yaml`, no table of settings, no
-    command that repeats it and no engine's code. What the fit says of its settings and remarks is in the words of
-    Python. The shaded pictures need the scene, which `TechniqueProblem.of` keeps.
+    read it like the folder of any run. A fit from Python has no configuration, so the folder has no `config.yaml`, and
+    the report has no table of settings, no command to repeat it and no engine's code. Settings and remarks use the
+    names of Python. The shaded pictures need the scene, which `TechniqueProblem.of` keeps.
 
     **Arguments:**
 
