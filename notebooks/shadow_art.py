@@ -41,9 +41,9 @@ star = np.stack([radius * np.cos(turn), radius * np.sin(turn)], axis=1)
 pictures = {"heart": picture(heart), "star": picture(star)}
 
 # %% [markdown]
-# **Lights and walls.** Each view is a light, the wall behind the sculpture as the pixels see it, and the picture. A
-# pixel is as large as a texel of the light's shadow map. With the map's silhouettes, the value of a pixel is the exact
-# fraction of the pixel that is lit.
+# **Lights and walls.** Each view has a light, the surface of the wall behind the sculpture, and the picture. A pixel is
+# as large as a texel of the light's shadow map. With the map's silhouettes, the value of a pixel is the exact fraction
+# of the pixel that is lit.
 
 # %%
 UP, AWAY = np.array([0.0, 1.0, 0.0]), 1.3

@@ -53,8 +53,8 @@ class Sureness:
 
     - `within`: for each of these fractions ε, finds the interval of every parameter in which the error stays below
         (1 + ε) times the best, while the others are fitted again.
-    - `prefer`, `tolerance`: names of parameters, and the bound, `"lower"` or `"upper"`, that they should come close to.
-        The result is chosen among all values whose error is at most (1 + `tolerance`) times the best: the first
+    - `prefer`, `tolerance`: names of parameters, and the bound, `"lower"` or `"upper"`, to which they should come
+        close. The result is chosen among all values whose error is at most (1 + `tolerance`) times the best: the first
         parameter goes as far as possible, then the second, and so on. Like `within`, only for fits of a technique.
     - `front`: the number of settings on the front, 3 or more; each minimises a weighted sum of false shadow and false
         light. 0 for no front. Only for fits of a technique, with a loss that has factors for both.

@@ -119,7 +119,7 @@ class Cascades(FittedLayout):
 
 
 class PerspectiveWarp(FittedLayout):
-    """One map under each directional light, warped so that what is close to the camera gets more texels."""
+    """One map under each directional light, warped so that surfaces close to the camera get more texels."""
 
     type: Literal["perspective_warp"] = "perspective_warp"
     method: Annotated[WarpMethod, "how the warp's strength is found; lispsm has the least worst aliasing"] = "lispsm"

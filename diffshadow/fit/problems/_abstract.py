@@ -14,7 +14,7 @@ from .._own_loss import Seen
 
 
 class AbstractProblem(eqx.Module):
-    """A subject, and how far an image that it draws is from a reference.
+    """A subject, which draws an image, and the difference of this image from a reference.
 
     The subject is the tree of modules whose numbers are fitted: a technique, or an `Arrangement` of a technique, lights
     and meshes. Methods take the subject as an argument, so that a solver may change its numbers.

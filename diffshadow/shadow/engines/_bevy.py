@@ -70,7 +70,7 @@ class Bevy(AbstractEngineShadows):
     - `resolution`, `subpixels`, `compare`: see `AbstractEngineShadows`. Maps are square, and their side is a power of
         two.
 
-    **Raises** `ValueError` for a map that is not so.
+    **Raises** `ValueError` for another map.
     """
 
     settings: ClassVar = Settings

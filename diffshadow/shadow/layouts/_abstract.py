@@ -75,7 +75,8 @@ class AbstractLayout(CheckedModule):
 
     @abc.abstractmethod
     def choose(self, light: AbstractLight, points: Float[Array, "h w 3"]) -> Choice:
-        """The layers that `points` (h, w, 3), in world units, are looked up in; `light` is as `light` returns it."""
+        """The layers in which `points` (h, w, 3), in world units, are looked up; `light` is the result of the method
+        `light`."""
 
     def map_figure(self, light: AbstractLight) -> MapFigure | None:
         """The names of the layers of the map of `light` in figures; `None` if they need no names."""
