@@ -249,8 +249,8 @@ def _of_times() -> str:
     processor = versions()["processor"]
     where = f"all cores of {processor}" if jax.default_backend() == "cpu" else str(jax.devices()[0].device_kind)
     return (
-        f"times are of this renderer on {where}, of one view with all its lights, after compiling: they compare "
-        "techniques with each other, and are no times of an engine"
+        f"times are for this renderer on {where}, for one view with all its lights, after compiling: they compare "
+        "techniques, and do not predict the times of an engine"
     )
 
 
