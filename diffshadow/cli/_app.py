@@ -56,7 +56,7 @@ def file_of(given: Path, *, sweep: bool = False) -> Path:
 
     **Arguments:**
 
-    - `sweep`: whether the folder of a sweep is allowed, and stands for the sweep's configuration.
+    - `sweep`: whether the folder of a sweep is allowed, as the sweep's configuration.
     """
     if not given.is_dir():
         return given

@@ -110,7 +110,7 @@ class Arrangement(eqx.Module):
     def of(
         cls, technique: ShadowMapping, lights: Sequence[AbstractLight], meshes: Sequence[Mesh | MeshPose]
     ) -> "Arrangement":
-        """Everything as it stands."""
+        """Everything with its current values."""
         poses = (mesh if isinstance(mesh, MeshPose) else MeshPose.of(mesh) for mesh in meshes)
         return cls(technique, tuple(light.pose() for light in lights), tuple(poses))
 

@@ -75,7 +75,8 @@ class Sureness:
             raise ValueError(f"Sureness.front is {self.front}; expected 0, or {FEWEST_POINTS} or more")
 
     def check(self, joint: Joint, names: list[str]) -> None:
-        """**Raises** `ValueError` for what a fit of the parameters with these `names` cannot find."""
+        """**Raises** `ValueError` for intervals and fronts that a fit of the parameters with these `names` cannot
+        have."""
         if (self.within or self.prefer) and joint.moves:
             raise ValueError("intervals or preferences are asked for in a fit of lights or meshes; expected none there")
         for name, _ in self.prefer:

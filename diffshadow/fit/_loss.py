@@ -37,7 +37,7 @@ class Loss(CheckedModule):
 
             min over t of  t + t / (p α) Σ sₖ log(1 + exp(p (Eₖ / t - 1))),
 
-        in which the logarithm stands for Rockafellar's and Uryasev's max(0, p (Eₖ / t - 1)).
+        in which the logarithm replaces Rockafellar's and Uryasev's max(0, p (Eₖ / t - 1)).
 
     **Raises** `ValueError` if both factors are 0.
     """

@@ -84,9 +84,9 @@ def load_mesh(
     **Returns:** the mesh in the file's units and axes; use `fit_to_size` and `drop_to_ground` to place it in a scene.
     Under `jax.enable_x64` its vertices are float64, which a mesh far from the file's origin needs.
 
-    **Warns** with `MeshWarning` if the file holds anything besides triangles, such as lines, if its polygons are cut as
-    fans, or if its coordinates lie so far from their origin that single precision, in which they were stored, has
-    rounded the mesh's shape.
+    **Warns** with `MeshWarning` if the file has parts other than triangles, such as lines, if its polygons are cut as
+    fans, or if its coordinates lie so far from their origin that storing them in single precision has rounded the
+    mesh's shape.
 
     **Raises** `FileError` if the file is missing, damaged, in an unknown format or in one whose package is missing,
     requires an unsupported extension of its format, has a polygon that crosses itself, holds no triangles, or holds

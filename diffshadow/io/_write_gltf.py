@@ -69,8 +69,8 @@ def write_gltf(path: str | os.PathLike[str], scene: Scene, *, extras: Mapping[st
         `FitResult.fitted`.
 
     **Raises** `FileError` if the file cannot be written or its name ends otherwise; `ValueError` for values that are
-    traced by JAX, a camera whose projection is off-centre, and `extras` that JSON cannot hold; and `TypeError` for what
-    is no scene.
+    traced by JAX, a camera whose projection is off-centre, and `extras` that JSON cannot hold; and `TypeError` for an
+    object that is not a scene.
     """
     check_instance("what to write", scene, Scene, "a Scene")
     suffix = Path(path).suffix.lower()

@@ -59,7 +59,7 @@ def trace_visibility(
     - `supersampling`: camera rays along each side of a pixel, 1 to 8; 4 gives a 4 x 4 grid. Visibility is then the mean
       over the camera rays that hit a surface, which antialiases outlines. The shadow rays are divided among the camera
       rays, with at least one each. `position`, `normal` and `face` still belong to pixel centres.
-    - `blockers`: what blocks shadow rays: `"casters"`, or `"all"` meshes, whatever the scene's `casts` says.
+    - `blockers`: what blocks shadow rays: `"casters"`, or `"all"` meshes, including meshes that do not cast.
 
     **Returns:** a `Reference`.
 

@@ -92,7 +92,7 @@ class ShadowMapping(AbstractTechnique):
         - `raises`: whether a map of more silhouettes is an error. Otherwise `ShadowMap.overflow` says whether a map has
             more.
 
-        **Raises** `ValueError` inside `jax.jit`, and what the layout raises.
+        **Raises** `ValueError` inside `jax.jit`, and the errors of the layout.
         """
         if not self.map.silhouettes:
             return MapPlan()

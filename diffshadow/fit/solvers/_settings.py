@@ -33,7 +33,7 @@ class Solver(CheckedModule):
     - `noise`: fraction of the loss by which it jumps as parameters change a little. Levenberg-Marquardt accepts steps
         that raise the loss by less. If the ends of phases differ by less, the last phase is the result. By default it
         is 0 for a technique, and 0.25 if lights or meshes move, since pixels then jump from lit to shadowed and back.
-    - `method`: any least-squares solver or minimiser of optimistix, in place of the one called `name`. Such a method
+    - `method`: any least-squares solver or minimiser of optimistix, instead of the solver called `name`. Such a method
         has its own tolerances. Of the other fields, only `max_steps` and `noise` apply to it, and `noise` only to the
         choice between phases.
 

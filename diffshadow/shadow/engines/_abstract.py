@@ -229,7 +229,7 @@ class AbstractEngineShadows(AbstractTechnique):
 
     def covered(self, state: EngineMap, surface: Surface) -> Mask:
         """Pixels that the engine's shadow decides, (h, w): they see a receiver within the light's frustum, on a face
-        turned to the light. Faces turned away are dark in the engine's picture, whatever their shadow."""
+        turned to the light. Faces turned away are dark in the engine's picture, with or without shadow."""
         return _covered(state, surface)
 
 

@@ -26,7 +26,7 @@ class EngineLight(NamedTuple):
     - `position`, `target`: world coordinates; a point light has no target.
     - `near`, `far`: of the shadow camera, world units.
     - `window`: left, right, top and bottom of a directional light's camera, world units.
-    - `angle`, `aspect`: of a spot light's cone, in radians from its axis, and of `light.shadow`.
+    - `angle`: of a spot light's cone, in radians from its axis; `aspect`: of `light.shadow`.
     """
 
     type: str
