@@ -161,7 +161,7 @@ class Setting:
 
     @property
     def form(self) -> Form | None:
-        """How to write it, where that needs words."""
+        """The form of its value in words, if the type does not say enough; otherwise `None`."""
         return next((mark for mark in self.marks if isinstance(mark, Form)), None)
 
     @property

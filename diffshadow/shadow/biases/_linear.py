@@ -18,7 +18,7 @@ from ._features import FEATURES
 class LinearBias(AbstractBias):
     """`max(0, Σ weight · feature)`, in texels along the light's axis.
 
-    A constant and a slope bias of tangent are the terms `one` and `slope`.
+    The term `one` is a constant bias, and the term `slope` is a slope bias with the profile `"tangent"`.
 
     - `weights`: by the feature's name, in texels per unit of the feature; of any sign. Features:
         - `one`: 1;

@@ -66,7 +66,7 @@ class PerceptronBias(AbstractBias):
         hidden: Sequence[tuple[Sequence[Sequence[float]], Sequence[float]]],
         last: Sequence[float],
     ) -> "PerceptronBias":
-        """The perceptron with these numbers: of each hidden layer its weights, row by row, and its biases.
+        """The perceptron with these numbers: for each hidden layer the weights, row by row, and the biases.
 
         **Raises** as the class does, and if rows of weights differ in length.
         """

@@ -48,7 +48,7 @@ class Atlas(eqx.Module):
         return maps * math.prod(shape[:-2]) * (shape[-2] + 2 * _MARGIN) * (shape[-1] + 2 * _MARGIN)
 
     def reading(self, shadow_map: ShadowMap, number: Int[Array, ""]) -> ShadowMap:
-        """`shadow_map`, whose own depths are ignored, with the depths of the map of this number."""
+        """`shadow_map` with its depths replaced by the depths of the map with this number."""
         *layers, height, width = self.shape
         stride = width + 2 * _MARGIN
         rows = self.size(1, self.shape) // stride
