@@ -11,6 +11,7 @@ before JAX makes its first array, sets the process up for fast work. It calls th
 
 - `use_all_cores()` lets XLA run loops on all cores.
 - `keep_freed_memory()` reuses freed memory for large arrays.
+- `limit_programs()` drops compiled programs in a long process before they are too many.
 - `collect_rarely()` runs Python's garbage collector less often.
 - `io.keep_compiled_programs()` keeps compiled programs for the next process.
 
@@ -49,7 +50,7 @@ if sys.version_info < (3, 12):  # noqa: UP036
         "make an environment with a newer one, such as: python3.12 -m venv .venv"
     )
 
-from ._memory import collect_rarely, keep_freed_memory
+from ._memory import collect_rarely, keep_freed_memory, limit_programs
 from ._setup import setup
 from ._xla import use_all_cores
 
@@ -69,6 +70,7 @@ __all__ = [
     "geometry",
     "io",
     "keep_freed_memory",
+    "limit_programs",
     "metrics",
     "raster",
     "reference",

@@ -5,6 +5,7 @@ import contextlib
 import ctypes
 import gc
 import sys
+from pathlib import Path
 
 # Parameters of glibc's mallopt(3).
 _M_TRIM_THRESHOLD, _M_TOP_PAD, _M_MMAP_MAX = -1, -2, -4
@@ -15,6 +16,10 @@ _HEAP = 64 << 20
 
 # Of `gc.set_threshold`; Python 3.12 begins with (700, 10, 10).
 _RARELY = (200_000, 20, 100)
+
+_MAPPINGS = Path("/proc/self/maps")
+# Linux allows a process 65,530.
+_MAX_MAPPINGS = 25_000
 
 
 def keep_freed_memory() -> None:
@@ -43,3 +48,18 @@ def collect_rarely() -> None:
     """
     gc.set_threshold(*_RARELY)
     atexit.register(gc.freeze)
+
+
+def limit_programs() -> None:
+    """Drops all compiled programs if they take much of the memory mappings that Linux allows a process.
+
+    A fit with images of a new size compiles programs that take some 700 mappings and 28 MB. After a hundred sizes, LLVM
+    is out of mappings, and the process ends with a segmentation fault. Programs that are used again after a call load
+    from the disk if they are kept there. `fit.fit`, `fit.train` and sweeps call this themselves. Call it in a loop of
+    your own that draws images or maps of ever new sizes. It does nothing where the system has no `/proc`.
+    """
+    if _MAPPINGS.exists() and _MAPPINGS.read_bytes().count(b"\n") > _MAX_MAPPINGS:
+        import jax
+
+        jax.clear_caches()
+        gc.collect()

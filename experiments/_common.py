@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 from rich.progress import track
 from rich.text import Text
 
-from diffshadow import fit, geometry, io, raster, reference, setup
+from diffshadow import fit, geometry, io, limit_programs, raster, reference, setup
 from diffshadow.config import (
     Config,
     ConfigError,
@@ -252,7 +252,9 @@ def machine() -> dict[str, Any]:
 
 def progress(items: Iterable[Any], what: str, console: Console) -> Iterable[Any]:
     """`items`, with a progress bar that vanishes when they are done; on a terminal only."""
-    return track(list(items), what, console=console, transient=True, disable=not console.is_terminal)
+    for item in track(list(items), what, console=console, transient=True, disable=not console.is_terminal):
+        limit_programs()
+        yield item
 
 
 def chart(axes: Axes, title: str, x: str, y: str, *, grid: bool = True) -> None:

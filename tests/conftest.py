@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from jaxtyping import install_import_hook
 
-from diffshadow import collect_rarely, use_all_cores
+from diffshadow import collect_rarely, limit_programs, use_all_cores
 
 _ARRAYS = ("_arithmetic", "_padding", "fit", "geometry", "metrics", "raster", "reference", "shading", "shadow")
 install_import_hook([f"diffshadow.{name}" for name in _ARRAYS], "lazy_checks.checked")
@@ -19,9 +19,6 @@ install_import_hook([f"diffshadow.{name}" for name in _ARRAYS], "lazy_checks.che
 PROGRAMS = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "diffshadow-tests"
 """Where compiled programs are kept, for this clone and the next; JAX's keys tell versions and machines apart."""
 _MAX_BYTES = 1 << 30
-_MAPPINGS = Path("/proc/self/maps")
-# Linux allows a process 65,530, and each compiled program takes several.
-_MAX_MAPPINGS = 25_000
 
 collect_rarely()
 
@@ -74,9 +71,5 @@ def _optimize(request):
 @pytest.fixture(scope="module", autouse=True)
 def _forget_programs():
     """Programs stay loaded from file to file, until they take too much."""
-    import jax
-
     yield
-    if not _MAPPINGS.exists() or _MAPPINGS.read_bytes().count(b"\n") > _MAX_MAPPINGS:
-        jax.clear_caches()
-        gc.collect()
+    limit_programs()

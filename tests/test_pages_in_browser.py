@@ -1,20 +1,16 @@
 """Pages as readers have them: with enough contrast in both themes, named controls, and no number cut off."""
 
 import json
-import shutil
-import subprocess
 from pathlib import Path
 
 import pytest
+from in_browser import in_browser
 from rich.console import Console
 from scenes import BOX_OVER_PLANE, staying_in
 
 from diffshadow import study
 from diffshadow.config import load_config, load_sweep
 
-ROOT = Path(__file__).parent.parent
-ENGINES = ROOT / "experiments" / "engines"
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 QUIET = Console(quiet=True)
 
 pytestmark = [pytest.mark.browser, pytest.mark.exhaustive]
@@ -55,35 +51,19 @@ def pages(tmp_path_factory):
             workers=0,
         )
         compared = study.compare([fit, render], Path("compare.html"), console=QUIET)
+        start = study.compared_with(load(), Path("tiny.yaml"), ())
+        exported = study.export_shader(load(), Path("exported"), "glsl", console=QUIET, compared=start) / "page.html"
         folders = (fit, engine, sure, render, sweep, advice)
-        return [*(folder.absolute() / "report.html" for folder in folders), compared.absolute()]
+        return [*(folder.absolute() / "report.html" for folder in folders), compared.absolute(), exported.absolute()]
+
+
+def look(*pages):
+    """Looks at pages in the browser; the test is skipped where it lacks something."""
+    return json.loads(in_browser("read_pages.mjs", *pages, packages=("playwright-core", "axe-core")))
 
 
 @pytest.fixture(scope="module")
-def look():
-    """Looks at pages in the browser; skipped where it lacks something."""
-    browser = next((found for name in BROWSERS if (found := shutil.which(name))), None)
-    there = {name: (ENGINES / "node_modules" / name).is_dir() for name in ("playwright-core", "axe-core")}
-    lacking = [
-        name for name, found in {"node": shutil.which("node"), "chromium": browser, **there}.items() if not found
-    ]
-    if lacking:
-        pytest.skip(
-            f"needs {', '.join(lacking)}: `apt-get install nodejs npm chromium` and "
-            f"`npm install --no-package-lock --prefix {ENGINES}`"
-        )
-
-    def looked(*pages):
-        command = ["node", str(ROOT / "tests" / "read_pages.mjs"), str(ENGINES), str(browser), *map(str, pages)]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
-        assert done.returncode == 0, done.stderr
-        return json.loads(done.stdout)
-
-    return looked
-
-
-@pytest.fixture(scope="module")
-def seen(look, pages):
+def seen(pages):
     """What the browser finds on the pages."""
     return look(*pages)
 
@@ -98,7 +78,7 @@ def test_no_page_scrolls_sideways_and_no_number_is_cut_off(seen):
 
 
 def test_buttons_copy_the_text_beside_them(seen, pages):
-    assert [each["file"] for each in seen["copies"]] == [str(page) for page in pages]
+    assert [each["file"] for each in seen["copies"]] == [str(page) for page in pages if page.name != "page.html"]
     for each in seen["copies"]:
         assert each["copied"] == each["text"] != ""
 
@@ -110,7 +90,7 @@ BAD = """<!DOCTYPE html><html lang="en"><head><title>Bad</title></head><body><ma
 </main></body></html>"""
 
 
-def test_what_readers_could_not_use_is_found(look, tmp_path):
+def test_what_readers_could_not_use_is_found(tmp_path):
     (tmp_path / "bad.html").write_text(BAD)
     found = look(tmp_path / "bad.html")
     assert {each["id"] for each in found["violations"]} == {"color-contrast", "label"}

@@ -9,12 +9,14 @@ import subprocess
 import sys
 import types
 import warnings
+from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import pytest
 
 import diffshadow
-from diffshadow import _display
+from diffshadow import _display, _memory, limit_programs
 
 FRESH = """
 import os
@@ -159,3 +161,21 @@ def test_the_collector_runs_rarely_and_searches_nothing_at_the_exit(monkeypatch)
     finally:
         gc.set_threshold(*before)
     assert at_exit == [gc.freeze]
+
+
+def test_programs_are_dropped_when_they_take_many_mappings(monkeypatch):
+    calls = []
+    program = jax.jit(lambda x: calls.append(None) or x + 1)
+    program(1.0)
+    limit_programs()
+    program(1.0)
+    assert len(calls) == 1
+    monkeypatch.setattr(_memory, "_MAX_MAPPINGS", 10)
+    limit_programs()
+    program(1.0)
+    assert len(calls) == 2
+    # Where the system does not say, nothing is dropped.
+    monkeypatch.setattr(_memory, "_MAPPINGS", Path("missing"))
+    limit_programs()
+    program(1.0)
+    assert len(calls) == 2

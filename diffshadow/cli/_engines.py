@@ -46,7 +46,9 @@ def convert(config: Path, /, *overrides: str, engine: EngineName | None = None) 
 
 
 @app.command
-def export(config: Path, /, *overrides: str, shader: ShaderLanguage = "glsl", output: Path | None = None) -> None:
+def export(
+    config: Path, /, *overrides: str, shader: ShaderLanguage = "glsl", page: bool = False, output: Path | None = None
+) -> None:
     """Writes the shadows of CONFIG as a shader for your own renderer.
 
     For the folder of a finished fit, the shader has the fitted values. The folder also has the scene, the light's
@@ -57,6 +59,8 @@ def export(config: Path, /, *overrides: str, shader: ShaderLanguage = "glsl", ou
 
     Example: `diffshadow export configs/quickstart.yaml --shader wgsl --output my_shadow`
 
+    Example: `diffshadow export runs/quickstart --page`
+
     Parameters
     ----------
     config
@@ -65,6 +69,9 @@ def export(config: Path, /, *overrides: str, shader: ShaderLanguage = "glsl", ou
         KEY=VALUE pairs that replace values of the file, such as `bias.constant=2`.
     shader
         Language: glsl (3.30 or ES 3.00), wgsl or hlsl (shader model 5).
+    page
+        Also writes page.html, which draws the scene in a browser with the exported shader in GLSL: before the fit and
+        after it, or with default values and these.
     output
         Folder to write to, by default one named like the configuration, in the current folder.
     """
@@ -75,7 +82,8 @@ def export(config: Path, /, *overrides: str, shader: ShaderLanguage = "glsl", ou
     from .. import study
 
     folder = Path(f"{settings.name}-shader") if output is None else output
-    print_path(study.export_shader(settings, folder, shader, console=Console(), origin=origin))
+    compared = study.compared_with(settings, file, overrides) if page else None
+    print_path(study.export_shader(settings, folder, shader, console=Console(), origin=origin, compared=compared))
 
 
 @app.command

@@ -9,6 +9,7 @@ import numpy as np
 
 from .._arithmetic import as_float
 from .._checks import check_instance
+from .._memory import limit_programs
 from .._pictures import as_html
 from .._progress import Update, showing
 from .._words import counted
@@ -164,6 +165,7 @@ def fit(
         sorted(result.fitted)  # ['bias.constant']
         ```
     """
+    limit_programs()
     began = time.perf_counter()
     anneal, search, sureness = anneal or Anneal(), search or Search(), sureness or Sureness()
     check_instance("the anneal", anneal, Anneal, "a fit.Anneal")

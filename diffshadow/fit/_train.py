@@ -17,6 +17,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from .._arithmetic import as_float
+from .._memory import limit_programs
 from .._progress import showing
 from .._types import Scalar
 from ..shadow import FittableTechnique, HardCompare, SoftCompare
@@ -86,6 +87,7 @@ def train(
     **Raises** `ValueError` if there is no view, no pixel of a view counts, nothing is selected, or a number starts
     below its least value.
     """
+    limit_programs()
     solver, anneal = Solver.of(solver).for_problem(False), anneal or Anneal()
     if not problems:
         raise ValueError("got no view to train on; expected one or more problems")

@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from .advice._defaults import LightOptions as LightOptions
     from .advice._defaults import print_defaults
     from .advice._engines import engine_advice
+    from .exports._page import compared_with as compared_with
     from .exports._shader import export_shader
     from .pages._colours import difference_colours as difference_colours
     from .pages._colours import marked as marked
@@ -61,6 +62,7 @@ _ON_USE = {
     "print_advise_plan": ".advice._advise",
     "run_advise": ".advice._advise",
     "engine_advice": ".advice._engines",
+    "compared_with": ".exports._page",
     "export_shader": ".exports._shader",
     **dict.fromkeys(("LightOptions", "print_defaults"), ".advice._defaults"),
 }

@@ -2,15 +2,17 @@
 
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 from rich.console import Console
 
-from diffshadow import io
+from diffshadow import geometry, io, shadow
 from diffshadow.config import ConfigError, load_config
-from diffshadow.study import export_shader
+from diffshadow.study import compared_with, export_shader
 
+ROOT = Path(__file__).parent.parent.parent
 LAMPS = """scene:
   meshes:
     - {path: builtin:box}
@@ -25,11 +27,12 @@ filter: {type: bilinear}
 """
 
 
-def export(tmp_path, text, language="glsl", *overrides):
+def export(tmp_path, text, language="glsl", *overrides, page=False):
     file = tmp_path / "lamps.yaml"
     file.write_text(text)
     config = load_config(file, overrides)
-    return export_shader(config, tmp_path / "out", language, console=Console(quiet=True))
+    compared = compared_with(config, file, overrides) if page else None
+    return export_shader(config, tmp_path / "out", language, console=Console(quiet=True), compared=compared)
 
 
 def test_folder_holds_a_shader_for_each_light_the_matrices_the_scene_and_a_page(tmp_path):
@@ -71,3 +74,55 @@ def test_what_has_no_shader_is_refused_before_a_file_is_written(tmp_path):
     with pytest.raises(ConfigError, match="VarianceShadowMap, which has no shader"):
         export(tmp_path, LAMPS, "glsl", "filter.type=vsm")
     assert not (tmp_path / "out").exists()
+
+
+def test_page_holds_the_exported_shader_and_values_beside_the_defaults(tmp_path):
+    folder = export(tmp_path, LAMPS, "glsl", page=True)
+    page = (folder / "page.html").read_text()
+    data = json.loads(re.search(r'id="data">(.*?)</script>', page)[1])
+    before, after = (setting["shaders"] for setting in data["settings"])
+    for number, lines in enumerate(after):
+        _, _, text = (folder / f"shadow_{number}.glsl").read_text().partition("\n")
+        assert "\n".join(data["lines"][line] for line in lines) == text
+    assert "const float SHADOW_CONSTANT_BIAS = 0.25;" not in [data["lines"][i].split("  //")[0] for i in before[0]]
+    assert re.search(r"<th>bias.constant</th><td[^>]*>[\d.]+</td><td[^>]*>0.25</td><td>texels</td>", page)
+    assert data["mesh"]["faces"] == 14
+    assert data["mesh"]["casters"] == 12
+    assert not re.findall(r"https?://", page)
+    assert len(page) < 100_000
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("shadow_map.depth_layer=midpoint", "depth_layer is 'midpoint'"),
+        ("shading.type=modulated", "modulated with 2 lights"),
+    ],
+)
+def test_what_the_page_does_not_draw_is_refused_before_a_file_is_written(tmp_path, override, words):
+    with pytest.raises(ConfigError, match=words):
+        export(tmp_path, LAMPS, "glsl", override, "shadow_map.cull=none", page=True)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_fit_is_compared_with_its_start(tmp_path):
+    fit = "reference: {samples: 1}\nfit: {parameters: {bias.constant: {initial: 3, lower: 0, upper: 8}}}\n"
+    (tmp_path / "config.yaml").write_text(f"{LAMPS}{fit}")
+    (tmp_path / "fitted.yaml").write_text(LAMPS.replace("constant: 0.25", "constant: 1.5"))
+    config = load_config(tmp_path / "fitted.yaml", ["filter.type=nearest"])
+    start = compared_with(config, tmp_path / "fitted.yaml", ["filter.type=nearest"])
+    assert (start.start, start.config.bias.constant, start.config.filter.type) == ("before the fit", 3, "nearest")
+
+
+def test_steps_of_the_documentation_are_exported_code():
+    page = (ROOT / "docs" / "export.md").read_text()
+    steps = page[page.index("## A shadow map, step by step") : page.index("## What can be exported")]
+    light = geometry.DirectionalLight((0.5, -1.0, -0.3), (0.0, 0.0, 0.0), (4.0, 4.0), -4.0, 4.0)
+    kernels = shadow.Nearest(), shadow.PercentageCloser(1.5), shadow.RandomDisk(3.0, shadow.vogel(16, rotated=True))
+    mappings = [shadow.ShadowMapping(kernel, shadow.Bias(1.0, 1.0, 0.5)) for kernel in kernels]
+    exported = {line.strip() for each in mappings for line in shadow.to_shader(each, light).split("\n")}
+    shown = [line for block in re.findall(r"```glsl\n(.*?)```", steps, re.DOTALL) for line in block.splitlines()]
+    # The first is of the vertex shader that draws the map.
+    assert len(shown) > 10
+    assert not [line for line in shown[1:] if line.strip() not in exported]
+    assert not [name for name in re.findall(r"\((images/\S+)\)", steps) if not (ROOT / "docs" / name).is_file()]

@@ -1,6 +1,8 @@
 """A renderer of one's own that follows an export's page: OpenGL draws the map and the picture from its files alone."""
 
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from diffshadow.config import build_scene, build_technique, load_config
 from diffshadow.raster import draw_surface
 from diffshadow.study import export_shader
 
+ROOT = Path(__file__).parent.parent.parent
 SIDE, TEXELS = 128, 256
 DEPTHS = """
 #version 330
@@ -29,18 +32,8 @@ in vec3 position;
 out vec3 world;
 void main() { world = position; gl_Position = world_to_clip * vec4(position, 1.0); }
 """
-SHADED = """
-uniform sampler2D depths;
-uniform mat4 world_to_eye, eye_to_clip;
-uniform vec3 lamp;
-in vec3 world;
-out float lit;
-void main() {
-    vec3 normal = normalize(cross(dFdx(world), dFdy(world)));
-    vec2 pixel = floor(gl_FragCoord.xy);
-    lit = shadow(depths, world_to_eye, eye_to_clip, world, normal, normalize(lamp - world), pixel, 0);
-}
-"""
+# The fragment shader of the documentation, which has a place for the exported one.
+(SHADED,) = re.findall(r"```glsl\n(#version 330\n.*?)```", (ROOT / "docs" / "export.md").read_text(), re.DOTALL)
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +93,7 @@ def _drawn(gl, triangles, shader, to_eye, to_clip, world_to_camera):
     gl.clear(depth=1.0)
     gl.vertex_array(to_map, [(corners, "3f", "position")]).render(gl.TRIANGLES)
 
-    shading = gl.program(vertex_shader=PLACES, fragment_shader=f"#version 330\n{shader}{SHADED}")
+    shading = gl.program(vertex_shader=PLACES, fragment_shader=SHADED.replace("// shadow.glsl", shader))
     lamp = np.linalg.inv(to_eye)[:3, 3]
     values = {"world_to_clip": world_to_camera, "world_to_eye": to_eye, "eye_to_clip": to_clip}
     for name, matrix in values.items():

@@ -13,6 +13,7 @@ from ... import geometry, io, shadow
 from ...config import Config, ConfigError, Mistake, build_scene, build_technique, printable
 from ...settings.techniques import ShaderLanguage
 from ..pages._page import write_page
+from ._page import PAGE, Compared, check_page, write_shader_page
 
 README, SCENE, MATRICES = "README.md", "scene.glb", "light.json"
 
@@ -58,28 +59,38 @@ _CALLS = {
 
 
 def export_shader(
-    config: Config, folder: Path, language: ShaderLanguage, *, console: Console, origin: str = ""
+    config: Config,
+    folder: Path,
+    language: ShaderLanguage,
+    *,
+    console: Console,
+    origin: str = "",
+    compared: Compared | None = None,
 ) -> Path:
     """Writes the technique of `config` as a shader for each light, the scene, and what a renderer must set.
 
     **Arguments:**
 
     - `folder`: made if it does not exist. Files of an earlier export are replaced.
-    - `origin`: where the values come from, for the page.
+    - `origin`: where the values come from, for the README.
+    - `compared`: for a page that draws the scene: what it shows beside it. None for no page.
 
     **Returns** the folder.
 
-    **Raises** `ConfigError` for a technique or a light that has no shader, and `FileError` if a file cannot be written.
+    **Raises** `ConfigError` for a technique or a light that has no shader, or that the page does not draw, and
+    `FileError` if a file cannot be written.
     """
     technique, scene = build_technique(config, fitting=False), build_scene(config)
     shaders = {}
-    for number, light in enumerate(scene.lights):
-        name = "shadow" if len(scene.lights) == 1 else f"shadow_{number}"
-        try:
+    try:
+        for number, light in enumerate(scene.lights):
+            name = "shadow" if len(scene.lights) == 1 else f"shadow_{number}"
             shaders[f"{name}.{language}"] = light, shadow.to_shader(technique, light, language)
-        except ValueError as error:
-            raise ConfigError([Mistake(config.origin.place(("technique",)), "technique", str(error))]) from error
-    assert isinstance(technique, shadow.ShadowMapping)
+        assert isinstance(technique, shadow.ShadowMapping)
+        if compared is not None:
+            check_page(config, scene, technique)
+    except ValueError as error:
+        raise ConfigError([Mistake(config.origin.place(("technique",)), "technique", str(error))]) from error
     folder.mkdir(parents=True, exist_ok=True)
     title = f"{config.name}: {origin}" if origin else config.name
     matrices = {name: _matrices(light) for name, (light, _) in shaders.items()}
@@ -102,7 +113,12 @@ def export_shader(
         scene=SCENE,
     )
     io.write_gltf(folder / SCENE, scene)
-    console.print(Text(printable(f"{', '.join([*shaders, MATRICES, README, SCENE])} in")), soft_wrap=True)
+    files = [*shaders, MATRICES, README, SCENE]
+    if compared is not None:
+        for remark in write_shader_page(folder / PAGE, config, scene, technique, compared, title):
+            console.print(Text(remark), soft_wrap=True)
+        files.append(PAGE)
+    console.print(Text(printable(f"{', '.join(files)} in")), soft_wrap=True)
     return folder
 
 

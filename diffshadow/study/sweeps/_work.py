@@ -1,7 +1,6 @@
 """The work of a sweep's worker process: runs, one after another, that share programs, drawings and limits."""
 
 import dataclasses
-import gc
 import json
 import os
 import threading
@@ -18,6 +17,7 @@ from jaxtyping import Float32
 from pydantic import ValidationError
 
 from ... import io, metrics, reference
+from ..._memory import limit_programs
 from ..._types import HostArray
 from ...config import (
     CONFIG_FILE,
@@ -53,8 +53,6 @@ WHOLE = frozenset({"steps", "pixels"})
 """The metrics that are whole numbers."""
 # The most bytes of drawings and limits that a process keeps for further runs.
 _MAX_KEPT = 256 << 20
-# Compiled programs accumulate, and a process has a limited number of memory mappings.
-_MAX_SHAPES = 40
 # The settings of the limit: the same for all runs, whatever their pattern and seed.
 _LIMIT = {"pattern": "sobol", "early_out": False}
 _LIMIT_SEED = 0x11317
@@ -204,7 +202,9 @@ def do(batch: Batch, run: SweepRun) -> Outcome:
     **Raises** `FullDiskError` if no space is left for its files.
     """
     started = time.perf_counter()
-    _limit_programs(batch.shape)
+    if batch.shape not in _shapes:
+        _shapes.add(batch.shape)
+        limit_programs()
     progress = Progress.quiet()
     try:
         config = run.config
@@ -306,6 +306,7 @@ def _limits(
 
 
 _memory: OrderedDict[tuple[str, str], Any] = OrderedDict()
+# Of the runs that were done.
 _shapes: set[str] = set()
 # A worker of a cluster may have several threads.
 _lock = threading.Lock()
@@ -326,12 +327,3 @@ def _bytes_of(value: Any) -> int:
     """Bytes of the arrays in `value`. An array that several values share is counted for each."""
     inside = [vars(leaf) if isinstance(leaf, reference.Reference) else leaf for leaf in jax.tree.leaves(value)]
     return sum(getattr(array, "nbytes", 0) for array in jax.tree.leaves(inside))
-
-
-def _limit_programs(shape: str) -> None:
-    """Drops all compiled programs if `shape` would exceed the limit."""
-    if shape not in _shapes and len(_shapes) >= _MAX_SHAPES:
-        _shapes.clear()
-        jax.clear_caches()
-        gc.collect()
-    _shapes.add(shape)
