@@ -10,10 +10,10 @@ A subpackage is loaded, and JAX with it, on first use. Importing the package cha
 before JAX makes its first array, sets the process up for fast work. It calls these, which can also be called alone:
 
 - `use_all_cores()` lets XLA run loops on all cores.
-- `keep_freed_memory()` spares large arrays fresh pages.
+- `keep_freed_memory()` reuses freed memory for large arrays.
 - `limit_programs()` drops compiled programs in a long process before they are too many.
-- `collect_rarely()` spares imports and traces the garbage collector.
-- `io.keep_compiled_programs()` keeps what JAX compiles for the next process.
+- `collect_rarely()` runs Python's garbage collector less often.
+- `io.keep_compiled_programs()` keeps compiled programs for the next process.
 
 `view(scene)` shows a scene in a page, on which settings can be dragged.
 

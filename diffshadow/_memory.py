@@ -25,8 +25,8 @@ _MAX_MAPPINGS = 25_000
 def keep_freed_memory() -> None:
     """Makes glibc keep freed memory for the next arrays; does nothing under other C libraries.
 
-    Arrays of more than 32 MiB otherwise come from fresh pages each time, which the kernel clears one by one: drawing
-    images of 2048 x 2048 pixels takes up to half as long again. The process's memory then stays at its peak. The
+    Otherwise arrays of more than 32 MiB come from fresh pages each time. The kernel clears these pages one by one, so
+    drawing images of 2048 x 2048 pixels takes up to 1.5 times as long. The process's memory then stays at its peak. The
     command `diffshadow` calls this itself.
     """
     if sys.platform != "linux":
@@ -41,9 +41,10 @@ def keep_freed_memory() -> None:
 def collect_rarely() -> None:
     """Makes Python's garbage collector run less often.
 
-    Imports and traces make millions of objects that stay. The collector otherwise looks through all of them again and
-    again, which takes a sixth of the time of both. Arrays do not wait for it. As the process ends, the collector looks
-    through nothing, which spares a second after a fit. The command `diffshadow` calls this itself.
+    Imports and traces make millions of objects that stay. Otherwise the collector searches all of these objects
+    repeatedly, which takes a sixth of the time of imports and traces. The memory of arrays is freed without the
+    collector. At the end of the process, the collector does not run, which saves a second after a fit. The command
+    `diffshadow` calls this itself.
     """
     gc.set_threshold(*_RARELY)
     atexit.register(gc.freeze)

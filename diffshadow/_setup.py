@@ -26,12 +26,12 @@ def setup(
     - `cores`: XLA runs loops on all cores, see `use_all_cores`.
     - `memory`: freed memory is kept for the next arrays, see `keep_freed_memory`.
     - `collector`: Python's garbage collector runs less often, see `collect_rarely`.
-    - `programs`: compiled programs are kept for the next process, see `io.keep_compiled_programs`; a folder to keep
-        them in another than its own. This loads JAX.
-    - `progress`: `fit.fit`, `fit.train` and `reference.trace_visibility` show how far they are, in one line that
-        vanishes at their end: in notebooks, and where stderr is a terminal. To turn it off, call
-        `setup(progress=False)`, also later, or set the environment variable `DIFFSHADOW_PROGRESS=0`. A call with an
-        `on_step`, `on_phase` or `progress` of your own shows no line of its own.
+    - `programs`: compiled programs are kept for the next process, see `io.keep_compiled_programs`. Pass a folder to
+        keep them there. This loads JAX.
+    - `progress`: `fit.fit`, `fit.train` and `reference.trace_visibility` show their progress in one line, which
+        vanishes at the end: in notebooks, and if stderr is a terminal. To turn it off, call `setup(progress=False)`,
+        also later, or set the environment variable `DIFFSHADOW_PROGRESS=0`. A call with your own `on_step`, `on_phase`
+        or `progress` shows no line.
 
     **Warns** with a `RuntimeWarning` if JAX's backend already runs: `cores` then has no effect in this process.
     """

@@ -12,13 +12,14 @@ _SMALL_LOOP = 5120
 
 
 def use_all_cores() -> None:
-    """Makes XLA run the body of a loop on all cores; it writes an option to `XLA_FLAGS` in the process's environment.
+    """Makes XLA run the body of a loop on all cores, by an option that it writes to `XLA_FLAGS` in the process's
+    environment.
 
-    XLA would make one program, for one core, of every loop that it takes for small, and takes loops over whole images
-    for such. With the option only loops whose steps read and write less than 5 kB are small. XLA keeps the body of
-    other loops as many programs, and each program runs on all cores. It reads its flags as JAX starts its backend,
-    with the first array: call this before. Extra options that `XLA_FLAGS` already has are left as they are. The command
-    `diffshadow` calls this itself.
+    XLA compiles every loop that it considers small to one program for one core, and wrongly considers loops over whole
+    images small. With the option, XLA considers only loops small whose steps read and write less than 5 kB. XLA keeps
+    the body of other loops as many programs, and each program runs on all cores. XLA reads its flags when JAX makes its
+    first array, so call this function before. Extra options that `XLA_FLAGS` already has are left as they are. The
+    command `diffshadow` calls this itself.
 
     **Warns** with a `RuntimeWarning` if JAX's backend already runs: the option then has no effect in this process.
     """

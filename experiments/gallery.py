@@ -360,11 +360,11 @@ def page_of(stage: Stage, stages: dict[Path, Stage], results: list[tuple[str, Ro
         "",
         f"The reference, traced with {truth.samples} rays per pixel (its own noise is {truth.noise_floor:.4f} RMSE), "
         "and the scene shaded with it. Errors are of visibility, under the light's true size: a technique that "
-        "draws hard shadows cannot reach it. False shadow is light that is missing outside of shadows (acne), false "
+        "draws hard shadows keeps an error. False shadow is light that is missing outside of shadows (acne), false "
         "light is light inside of them (leaks, Peter-panning).",
         "",
         f"Times are medians of {repeats} runs in milliseconds, compilation apart: *light* draws the map, the texture "
-        "or the table of edges, and *shadow* makes visibility of it. "
+        "or the table of edges, and *shadow* computes visibility from it. "
         f"{width} × {height} pixels, {columns} × {rows} texels unless said, float32 (volumes and irregular z-buffer: "
         f"float64), JAX {jax.__version__} on {device.platform} ({platform.machine()}). They were taken on a "
         "machine that others used too: compare them with each other only.",

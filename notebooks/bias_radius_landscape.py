@@ -1,11 +1,12 @@
 # %% [markdown]
 # # The landscape of bias and radius, and the way through it
 #
-# The hard compare of a shadow map is a step: its error is a landscape of cliffs and plateaus without a gradient by the
-# bias. A fit replaces it by a soft compare, whose width shrinks from phase to phase, and walks down each phase's own
-# landscape in turn. This notebook draws these landscapes, the solver's path on each, and the hard one that judges.
+# See how a fit finds a bias where the error has no gradient. Under the hard compare of a shadow map, the error is a
+# landscape of cliffs and plateaus. A fit therefore uses a soft compare, whose width shrinks from phase to phase, and
+# walks down the landscape of each phase in turn. This notebook draws these landscapes, the solver's path on each, and
+# the landscape of the hard compare, which judges the result.
 
-# %%
+# %% tags=["hide-input"]
 import os
 
 import equinox as eqx
@@ -23,7 +24,8 @@ PIXELS, TEXELS, RAYS, GRID = (48, 96, 16, 7) if SMALL else (128, 160, 128, 25)
 NAMES = ("bias.constant", "filter.radius")
 
 # %% [markdown]
-# **Scene**, of `configs/bias_landscape.yaml`: a torus knot and a box on a floor, under a sun of 2° radius, and a coarse map.
+# **The scene** is the one of `configs/bias_landscape.yaml`: a torus knot and a box on a floor, under a sun of 2°
+# radius, with a coarse map.
 
 # %%
 scene = config.build_scene(
@@ -41,7 +43,7 @@ problem = fit.TechniqueProblem.of(scene, technique, truth)
 shadow_map, surface, mask = problem.shadow_map, problem.surface, problem.mask
 
 # %% [markdown]
-# **Fit**, from almost no bias and a wide disk. Every evaluation of the loss is kept in `result.history`.
+# **The fit** starts from almost no bias and a wide disk. `result.history` has every evaluation of the loss.
 
 # %%
 anneal = fit.Anneal(start=2.0, end=0.1, phases=3)
@@ -56,7 +58,7 @@ for number, phase in enumerate(result.phases):
 print(f"best: phase {result.chosen}")
 
 # %% [markdown]
-# **Landscapes**: the RMSE at every point of a grid, under each phase's soft compare and under the hard one.
+# **The landscapes** show the RMSE at every point of a grid, under each phase's soft compare and under the hard compare.
 
 # %%
 @eqx.filter_jit
@@ -75,7 +77,7 @@ landscape = {
     for name, compare in compares.items()
 }
 
-# %%
+# %% tags=["picture"]
 figure, axes = plt.subplots(2, 2, figsize=(9.2, 7.2), sharex=True, sharey=True)
 norm = LogNorm(min(z.min() for z in landscape.values()), max(z.max() for z in landscape.values()))
 steps = {name: [s.values for s in result.history if s.phase == i] for i, name in enumerate(compares)}
@@ -103,7 +105,8 @@ for ax in axes[:, 0]:
 bar = figure.colorbar(shown, ax=axes, shrink=0.7, label="RMSE [visibility]")
 
 # %% [markdown]
-# **What the fit missed**, as far as the grid can tell. A ratio below one says that the result lies between its points.
+# **Does the grid have a better point?** A ratio below one means that the fit's result, which lies between points of the
+# grid, is better than all of them.
 
 # %%
 found = rmse(visibility(shadow.HardCompare(), jnp.array(list(result.fitted.values()), jnp.float32)))
@@ -116,7 +119,7 @@ print(f"{evaluations} evaluations by the fit, {GRID * GRID} by the grid")
 assert found < 1.05 * best
 
 # %% [markdown]
-# **Acne against leaks.** At the fitted radius, false shadow falls with the bias as false light rises.
+# **Acne against leaks.** At the fitted radius, more bias gives less false shadow and more false light.
 
 # %%
 rates = []

@@ -1,14 +1,14 @@
 # %% [markdown]
 # # Error against samples
 #
-# How fast does a random disk come closer to its own limit with more taps, and which pattern is best? The error of $n$
-# independent taps falls as $n^{-1/2}$ whatever the occluder; taps that keep apart from each other do better, the more so
-# the simpler the shadow's outline within the disk.
+# How many taps does a random disk need, and which pattern is best? The error of $n$ independent taps falls as
+# $n^{-1/2}$ for every caster. Taps that keep a distance from each other do better, above all if the shadow's outline
+# within the disk is simple.
 #
-# The same question at full size, over three scenes, is `diffshadow sweep configs/error_vs_samples.yaml`. Here a part of
-# that sweep runs in the notebook.
+# This notebook runs a part of `diffshadow sweep configs/error_vs_samples.yaml`, which asks the same question for three
+# scenes at full size.
 
-# %%
+# %% tags=["hide-input"]
 import json
 import os
 import tempfile
@@ -30,10 +30,10 @@ SEEDS, LIMIT = (3, 1024) if SMALL else (6, 4096)
 PIXELS, TEXELS, RAYS = (48, 96, 64) if SMALL else (128, 512, 256)
 
 # %% [markdown]
-# **The sweep.** One scene: a torus knot under a sun of 6° radius. Each run draws the shadow with one pattern, one number of
-# taps and one seed, and measures two errors (RMSE over the image): against the *limit* of the filter, which is what
-# very many taps give, and against the ray-traced *truth*. Each pattern has 8 x 8 sets of taps, which repeat over the
-# image; each seed has others.
+# **The sweep.** The scene is a torus knot under a sun of 6° radius. Each run draws the shadow with one pattern, one
+# number of taps and one seed. It measures two errors (RMSE over the image): against the *limit* of the filter, which is
+# its result with very many taps, and against the ray-traced *truth*. Each pattern has 8 x 8 sets of taps, which repeat
+# over the image and differ from seed to seed.
 
 # %%
 def run(name, samples, patterns):
@@ -60,8 +60,9 @@ assert (table.status == "ok").all() and (again.status == "ok").all()
 print(f"{len(table)} runs")
 
 # %% [markdown]
-# **Noise floors.** Neither reference is free of error. The limit's is found by drawing it again with other seeds: two
-# equally good estimates differ by √2 times the error of each. That of the rays is estimated by the tracer itself.
+# **Noise floors.** Both references have errors of their own. To estimate the error of the limit, we draw the limit
+# again with other seeds: two equally good estimates differ by √2 times the error of each. The tracer estimates the
+# error of the rays itself.
 
 # %%
 rms = lambda values: float(np.sqrt(np.mean(np.square(values))))
@@ -71,9 +72,8 @@ print(f"RMSE of the limit of {LIMIT:,} taps: {floor_of_limit:.2g}")
 print(f"RMSE of {RAYS} rays per pixel: {floor_of_rays:.2g}")
 
 # %% [markdown]
-# **Slopes**, of a straight line through the logarithms by least squares, one for each seed; the interval holds their mean
-# with 95 % confidence (Student's t). Points within a factor 4 of the limit's own floor are left out: there the
-# limit's error would show.
+# **Slopes.** For each seed, we fit a straight line to the logarithms by least squares. The interval contains the mean
+# slope with 95 % confidence (Student's t). Points whose error is less than 4 times the noise of the limit are left out.
 
 # %%
 rows = []
@@ -90,7 +90,7 @@ for n in SAMPLES[:: len(SAMPLES) - 1]:
     slopes[f"RMSE, {n} taps"] = at.groupby("filter.pattern").rmse_to_limit.apply(rms)
 slopes.round(4)
 
-# %%
+# %% tags=["picture"]
 figure, axes = plt.subplots(1, 2, figsize=(11, 4.2), sharey=True)
 styles = dict(zip(PATTERNS, zip("osD^vP", ("-", "-", "-", "--", "--", "--"))))
 for pattern, (marker, dash) in styles.items():
@@ -111,9 +111,10 @@ for ax in axes:
     ax.grid(True)
 
 # %% [markdown]
-# Left, independent taps fall as theory says, and every pattern that keeps taps apart falls faster. Right, the error to the
-# truth stops falling early, far above the noise of the rays: what is left is the technique's own, here a disk of one
-# size where penumbrae vary. A few dozen well-spread taps are enough; more only refine the wrong answer.
+# On the left, the error of independent taps falls as theory predicts, and the error of every pattern that spreads its
+# taps falls faster. On the right, the error against the truth stops falling early, far above the noise of the rays. The
+# remaining error belongs to the technique: the disk has one size, but penumbrae vary in width. A few dozen well-spread
+# taps are enough. More taps only refine a wrong answer.
 
 # %%
 uniform = slopes.loc["uniform"]

@@ -27,7 +27,8 @@ def text_of(path: Path) -> nbformat.NotebookNode:
     """The notebook that the text at `path` stands for, without outputs."""
     notebook = jupytext.read(path, fmt="py:percent")
     for number, cell in enumerate(notebook.cells):
-        cell["id"], cell["metadata"] = f"cell-{number}", {}
+        tags = cell.metadata.get("tags")
+        cell["id"], cell["metadata"] = f"cell-{number}", {"tags": tags} if tags else {}
     notebook.metadata = {"kernelspec": _KERNEL}
     return notebook
 

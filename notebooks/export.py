@@ -1,12 +1,12 @@
 # %% [markdown]
 # # Into your own renderer: fit, export, check
 #
-# A fitted shadow is of use where it is drawn: in your renderer. Here bias and filter radius are fitted, the technique is
-# exported as GLSL, and OpenGL runs the exported text on the same shadow map. Both pictures are the same.
+# This notebook brings a fitted shadow into your own renderer. It fits bias and filter radius, exports the technique as
+# GLSL, and runs the exported text by OpenGL on the same shadow map. Both pictures are the same.
 #
 # `diffshadow export RUN` does this for a run's folder, and `--page` adds a page for the browser.
 
-# %%
+# %% tags=["hide-input"]
 import os
 
 import jax.numpy as jnp
@@ -111,7 +111,7 @@ def drawn(shader):
 ours = np.asarray(result.technique.visibility(shadow_map, surface))
 theirs = drawn(shader)
 
-# %%
+# %% tags=["picture"]
 figure, axes = plt.subplots(1, 3, figsize=(11, 3.6))
 panels = {"ray traced": truth.visibility, "fitted, by diffshadow": ours, "fitted, by the exported GLSL": theirs}
 for ax, (title, image) in zip(axes, panels.items()):

@@ -1,11 +1,11 @@
 # %% [markdown]
 # # First look: from a mesh to a fitted bias
 #
-# A shadow map needs a bias, or surfaces shadow themselves; too much of it, and shadows come off their casters. Here a
-# scene is built by hand, its shadow drawn and ray traced, and bias and filter radius are fitted to the truth: ten
-# cells of code.
+# In ten cells of code, this notebook builds a scene, draws and ray-traces its shadow, and finds the best bias and
+# filter radius. A shadow map needs a bias: too little gives acne, and too much detaches shadows from their casters
+# (Peter-panning).
 
-# %%
+# %% tags=["hide-input"]
 import os
 
 import jax.numpy as jnp
@@ -29,7 +29,7 @@ meshes = [geometry.drop_to_ground(knot), floor]
 print(f"{sum(len(mesh.faces) for mesh in meshes):,} triangles")
 
 # %% [markdown]
-# **Camera and light.** The sun is a disk of 2° radius here, some seven times its true size, so that its shadows are soft.
+# **Camera and light.** The sun is a disk of 2° radius, about seven times its true size, so that its shadows are soft.
 
 # %%
 camera = geometry.PinholeCamera(
@@ -40,7 +40,7 @@ light = geometry.DirectionalLight.around((0.5, -1.0, -0.3), points, angular_radi
 scene = geometry.Scene(meshes, camera, light)
 
 # %% [markdown]
-# **Technique.** A bias that is too small, and a disk of 16 taps that is too narrow.
+# **Technique.** We start with too small a bias and too narrow a disk of 16 taps.
 
 # %%
 technique = shadow.ShadowMapping(
@@ -50,8 +50,8 @@ technique = shadow.ShadowMapping(
 )
 
 # %% [markdown]
-# **Two views.** What the light sees is the shadow map; what the camera sees are the receivers. Neither depends on bias or
-# filter, so each is drawn once.
+# **Two views.** The light's view is the shadow map, and the camera's view shows the receivers. Neither depends on bias
+# or filter, so each is drawn once.
 
 # %%
 shadow_map = technique.prepare(scene)
@@ -60,7 +60,7 @@ before = technique.visibility(shadow_map, surface)
 print(f"{float(jnp.mean(shadow_map.depth < 1)):.0%} of the texels hold a surface")
 
 # %% [markdown]
-# **Truth.** Rays to the whole of the sun's disk, by another path through other code.
+# **Truth.** The ray tracer, which shares no code with the shadow maps, sends rays to the whole disk of the sun.
 
 # %%
 truth = reference.trace_visibility(scene, samples=rays)
@@ -94,7 +94,7 @@ for name, value in result.fitted.items():
 print(f"{result.steps} steps in {len(result.phases)} phases")
 
 # %% [markdown]
-# **Errors.** False shadow is acne, false light is leaks and shadows that come off.
+# **Errors.** False shadow is acne. False light is light leaks and Peter-panning.
 
 # %%
 after = result.technique.visibility(shadow_map, surface)
@@ -105,7 +105,7 @@ for name, image in {"before": before, "after": after}.items():
         f"false shadow {errors.false_shadow_rate:.2%}   false light {errors.false_light_rate:.2%} of light"
     )
 
-# %%
+# %% tags=["picture"]
 figure, axes = plt.subplots(1, 3, figsize=(11, 3.6))
 axes[0].imshow(after, vmin=0, vmax=1)
 axes[0].set_title("after: visibility")

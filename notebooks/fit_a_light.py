@@ -1,11 +1,12 @@
 # %% [markdown]
 # # A light from its shadow
 #
-# Where does the sun stand, if all that is known is the scene and one image of its shadow? Here map and shadow are drawn
-# anew at every step, and the motion of the shadow's outline has a gradient: the map stores where, within a texel, its
-# casters end. The fit compares images under a wide blur and then under narrower ones, whose landscapes are smooth and rough.
+# This notebook finds the sun's direction from one image of a shadow. At every step, the fit draws map and shadow again.
+# The motion of the shadow's outline has a gradient, because the map stores where, within a texel, casters end. The fit
+# compares images under a wide blur first, where the error is a smooth function of the direction, and then under
+# narrower blurs.
 
-# %%
+# %% tags=["hide-input"]
 import dataclasses
 import os
 
@@ -23,8 +24,8 @@ SMALL = bool(os.environ.get("DIFFSHADOW_SMALL"))  # a quick run, for tests
 PIXELS, TEXELS, STEPS, GRID = (48, 96, 8, 5) if SMALL else (128, 256, 20, 15)
 
 # %% [markdown]
-# **What is known**: the scene of `configs/fit_light_sun.yaml`, and its shadow, ray traced. The sun's azimuth and elevation
-# are sought within wide bounds, from a start that is some 20° off.
+# **Given**: the scene of `configs/fit_light_sun.yaml`, and its ray-traced shadow. **Wanted**: the sun's azimuth and
+# elevation, within wide bounds. The start is about 20° off.
 
 # %%
 settings = config.load_config(
@@ -57,10 +58,11 @@ for phase in result.phases:
     print(f"blur {phase.blur:2.0f} pixels: {phase.steps:2} steps, RMSE {phase.hard_loss**0.5:.4f} without the blur")
 
 # %% [markdown]
-# The *deviation* is the standard deviation that the pixels' residuals give the value, to first order. Neighbours on an
-# outline are correlated, and it counts that; `experiments/coverage.py` measures how often the truth lies within it.
+# The *deviation* is the standard deviation of the value, estimated from the pixels' residuals to first order. The
+# estimate accounts for the correlation of neighbouring pixels along an outline. `experiments/coverage.py` measures how
+# often the truth lies within it.
 
-# %%
+# %% tags=["picture"]
 problem, where = result.problems[0], [p.where for p in plan.parameters]
 
 
@@ -88,8 +90,8 @@ axes[0].set_ylabel("y [pixels]")
 bars = figure.colorbar(bright, ax=axes[:3], shrink=0.7, label="visibility"), figure.colorbar(shown, ax=axes[3], shrink=0.7)
 
 # %% [markdown]
-# **The landscape**: over both angles, the RMSE of blurred differences, which the fit makes least, under the first blur and
-# the last, with the fit's evaluations under each.
+# **The landscape** shows the RMSE of blurred differences over both angles, under the first blur and the last blur, with
+# the fit's evaluations. The fit minimises this RMSE.
 
 # %%
 figure, axes = plt.subplots(1, 2, figsize=(10, 4.2), sharey=True)

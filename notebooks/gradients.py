@@ -1,11 +1,12 @@
 # %% [markdown]
 # # Gradients: what moves a shadow
 #
-# Visibility is differentiated by bias, filter radius and soft compare, by the position and direction of lights, by a
-# mesh's pose and by all of its vertices. Each gradient is drawn over the shadow: orange pixels get lighter as the number
-# grows, purple ones darker. `docs/gradients.md` says which gradients are exact, and what has none.
+# This notebook draws the gradient of visibility by bias, filter radius and soft compare, by the position and direction
+# of lights, by a mesh's pose and by all of its vertices. Each gradient is drawn over the shadow: orange pixels get
+# lighter as the number grows, and purple pixels get darker. `docs/gradients.md` says which gradients are exact, and
+# what has no gradient.
 
-# %%
+# %% tags=["hide-input"]
 import dataclasses
 import os
 
@@ -51,8 +52,8 @@ def draw_over(image, gradients):
 
 
 # %% [markdown]
-# **Bias, radius and width.** The map depends on none of them, so it is drawn once. The compare must be soft: a hard one
-# has no gradient by a bias.
+# **Bias, radius and width.** The map does not depend on these, so it is drawn once. The compare must be soft, since a
+# hard compare has no gradient by the bias.
 
 # %%
 shadow_map = shadow.draw_shadow_map(scene.mesh, sun, (texels, texels))
@@ -65,12 +66,12 @@ def soft(bias, radius, width):
 
 gradients, image = jax.jit(jax.jacfwd(soft, argnums=(0, 1, 2), has_aux=True))(1.0, 2.0, 0.5)
 
-# %%
+# %% tags=["picture"]
 names = "by bias [1/texel]", "by radius [1/texel]", "by width [1/texel]"
 draw_over(image, dict(zip(names, gradients)))
 
 # %% [markdown]
-# **Many biases at once.** `vmap` maps value and gradient over an array. The dashes are tangents.
+# **Many biases at once.** `vmap` maps value and gradient over an array. Dashed lines are tangents.
 
 # %%
 biases = jnp.linspace(0.0, 4.0, 9)
@@ -86,8 +87,8 @@ ax.set(title="light that is left", xlabel="bias [texels]", ylabel="mean visibili
 ax.grid(True)
 
 # %% [markdown]
-# **A light and a mesh.** They move the shadow's outline, so the map needs silhouettes. Their edges and memory come from a
-# plan, which is made outside of `jit`. Then any compare will do, also a hard one.
+# **A light and a mesh.** Both move the shadow's outline, so the map needs silhouettes. A plan, which is made outside of
+# `jit`, holds the edges and the memory for silhouettes. With silhouettes, any compare works, also a hard one.
 
 # %%
 settings = shadow.MapSettings((texels, texels), silhouettes=True)
@@ -126,8 +127,8 @@ draw_over(
 )
 
 # %% [markdown]
-# A lamp that turns without moving leaves the shadow where it is: the gradient by its direction is small, and what is seen
-# is the map's texels and not the shadow.
+# A lamp that turns without moving does not move the shadow. So the gradient by its direction is small, and shows the
+# motion of the map's texels.
 #
 # **All vertices, under several suns.** Reverse mode finds the gradient of one number by any number of inputs. `vmap` maps
 # it over suns. The number is the light on the floor.
@@ -148,8 +149,8 @@ by_vertices, by_suns = under_suns(knot.vertices, suns)
 print(f"gradients by vertices {by_vertices.shape}, by directions {by_suns.shape}")
 
 # %% [markdown]
-# Which vertices darken the floor as they move outwards: those on the outline that each sun sees. Each face has the sum of
-# its vertices.
+# The vertices on the outline that a sun sees darken the floor when they move outwards. Each face shows the sum over its
+# vertices.
 
 # %%
 normals = np.zeros(knot.vertices.shape)
@@ -162,7 +163,7 @@ shading = np.where(seen < len(knot.faces), 0.4, 1.0)
 draw_over(shading, {f"outwards, under sun {k + 1} [1/world unit]": image for k, image in enumerate(by_face)})
 
 # %% [markdown]
-# **Check.** A step of the lamp along x, and the gradient's prediction, both on the floor.
+# **Check.** We move the lamp along x, and compare the change on the floor with the gradient's prediction.
 
 # %%
 step = jnp.array([0.05, 0.0, 0.0])

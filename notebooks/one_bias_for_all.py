@@ -1,11 +1,11 @@
 # %% [markdown]
 # # One bias for all
 #
-# A game ships one bias for everything that its sun ever shines on. Which one, how far may it be off, and what does it
-# give up? This notebook fits a bias and a filter radius to ten meshes under fifteen suns, all at once, and measures them
-# under fifteen other suns. At the end a small network chooses a bias for each point instead.
+# A game usually has one bias for all of its scenes. Which bias is best, how exact must it be, and what does it cost?
+# This notebook fits one bias and one filter radius to ten meshes under fifteen suns, and measures them under fifteen
+# other suns. At the end, a small network chooses a bias for each point instead.
 
-# %%
+# %% tags=["hide-input"]
 import dataclasses
 import json
 import os
@@ -27,8 +27,8 @@ MESHES = MESHES[:2] if SMALL else MESHES
 SUNS, PIXELS, TEXELS, RAYS = (2, 48, 96, 16) if SMALL else (15, 96, 256, 32)
 
 # %% [markdown]
-# **The views.** `fit.views` has the language of a sweep: every mesh under every sun. Suns come from a quasi-random
-# sequence over the sky; the validation has another one. The camera looks from one side.
+# **The views.** `fit.views` lists views in the same way as a sweep: every mesh under every sun. Suns come from a
+# quasi-random sequence over the sky, and validation suns from another sequence. The camera looks from one side.
 
 # %%
 TEXT = f"""
@@ -76,8 +76,8 @@ worst = fitted("worst", loss={"over": "worst"})
 print(f"{len(MESHES)} meshes, {SUNS} suns to fit to and {SUNS} others, {mean['metrics']['pixels']:,} pixels")
 
 # %% [markdown]
-# **One setting, or the worst view's.** The mean over all pixels, or the worst of all views, can be made least. What is
-# gained for the worst view is lost on average.
+# **The mean or the worst view.** A fit can minimise the mean error over all pixels, or the error of the worst view. An
+# improvement of the worst view makes the mean worse.
 
 # %%
 rows = {}
@@ -93,10 +93,10 @@ for title, result in {"mean": mean, "worst": worst}.items():
 pd.DataFrame(rows).T.round(4)
 
 # %% [markdown]
-# **How sure.** Each curve is the error along one parameter, with the others fitted again at every point. The bands are
-# where it stays within 1 % and 5 % of the best.
+# **How sure.** Each curve is the error along one parameter, with the others fitted again at every point. The bands show
+# where the error is within 1 % and 5 % of the best.
 
-# %%
+# %% tags=["picture"]
 figure, axes = plt.subplots(1, 3, figsize=(10, 3), sharey=True)
 for ax, (name, profile) in zip(axes, mean["profiles"].items(), strict=True):
     best = profile["best"]["error"]
@@ -111,8 +111,8 @@ axes[0].set(ylabel="error above the best [%]", ylim=(-0.5, 8))
 plt.show()
 
 # %% [markdown]
-# **What is given up.** Less false shadow (acne) costs false light (leaks, Peter-panning). No setting found is better in
-# both than one of these.
+# **What is given up.** Less false shadow (acne) means more false light (leaks, Peter-panning). The points are the
+# settings for which no other setting is better in both.
 
 # %%
 front = pd.DataFrame([{**point["values"], **point} for point in mean["front"]]).drop(columns=["values", "ratio"])
@@ -126,11 +126,11 @@ plt.show()
 front.round(4)
 
 # %% [markdown]
-# **A bias for each point.** A shader knows more than a constant does: how steep the surface is, how far the light, how far
-# the blocker. A perceptron of 8 units corrects the fitted bias by these. It is trained on thirty of the views, and
-# measured under other suns. Its error falls by a tenth where it was trained, and grows by 40 % where it was not: it has
-# learned these views. Whoever trains a bias has to look at views apart; `experiments/learned_bias.py` compares models so,
-# and finds a gain of a tenth. `shadow.to_shader` writes the technique as a shader.
+# **A bias for each point.** A shader knows the slope of the surface, the distance of the light and the distance of the
+# blocker. A perceptron of 8 units corrects the fitted bias by these quantities. It is trained on thirty of the views,
+# and measured under other suns. Its error falls by a tenth on the trained views, and grows by 40 % on the others: it
+# overfits. So always measure a trained bias on views that the training did not see. `experiments/learned_bias.py`
+# compares models in this way, and finds a gain of a tenth. `shadow.to_shader` writes the technique as a shader.
 
 
 # %%

@@ -1,10 +1,11 @@
 # %% [markdown]
 # # Shadow art: one sculpture, two pictures
 #
-# A ball hangs before two walls, with a light for each. Every vertex of it is moved until its shadow on one wall is a heart,
-# and on the other a star. Nothing says what the sculpture looks like: the gradient comes from the shadows' outlines alone.
+# This notebook makes a sculpture whose shadows on two walls are a heart and a star. It starts from a ball in front of
+# the walls, with a light for each wall, and moves every vertex of the ball. The gradient comes from the outlines of the
+# shadows alone.
 
-# %%
+# %% tags=["hide-input"]
 import os
 
 import matplotlib.pyplot as plt
@@ -20,8 +21,8 @@ PIXELS, SPLITS, STEPS = (48, 3, 60) if SMALL else (128, 4, 150)
 SIDE = 1.6  # of the square that a picture shows, world units
 
 # %% [markdown]
-# **The pictures**, 1 where the wall should be lit and 0 where it should be dark. They are as tall as each other: light that
-# shines level leaves heights as they are, so both shadows are as tall as the sculpture.
+# **The pictures** are 1 where the wall should be lit and 0 where it should be dark. They have the same height: under
+# level lights, both shadows are as tall as the sculpture.
 
 # %%
 def picture(outline, height=1.0, fine=4):
@@ -40,8 +41,9 @@ star = np.stack([radius * np.cos(turn), radius * np.sin(turn)], axis=1)
 pictures = {"heart": picture(heart), "star": picture(star)}
 
 # %% [markdown]
-# **Lights and walls.** Each view is a light, the wall behind the sculpture as the pixels see it, and the picture. A pixel
-# is as large as a texel of the light's shadow map, whose silhouettes make a pixel's value the exact part of it that is lit.
+# **Lights and walls.** Each view has a light, the surface of the wall behind the sculpture, and the picture. A pixel is
+# as large as a texel of the light's shadow map. With the map's silhouettes, the value of a pixel is the exact fraction
+# of the pixel that is lit.
 
 # %%
 UP, AWAY = np.array([0.0, 1.0, 0.0]), 1.3
@@ -63,9 +65,9 @@ surfaces = [raster.draw_surface(wall(way, SIDE), camera) for way, camera in zip(
 views = [fit.ShapeView(*each) for each in zip(lights, surfaces, pictures.values())]
 
 # %% [markdown]
-# **Fit.** Plain gradient steps would shred the mesh: only the few vertices on an outline have a gradient. Large steps
-# (Nicolet, Jacobson & Jakob 2021) move neighbours together. Their strength falls from phase to phase, from the rough shape to
-# the details.
+# **Fit.** Plain gradient steps would shred the mesh: only the few vertices on an outline have a gradient. "Large steps"
+# (Nicolet, Jacobson & Jakob 2021) move neighbours together. Their strength falls from phase to phase: first the rough
+# shape forms, then the details.
 
 # %%
 sphere = geometry.library_mesh("sphere", radius=0.5, subdivisions=SPLITS)
@@ -93,7 +95,7 @@ for row, (kind, target) in enumerate(pictures.items()):
 # %% [markdown]
 # **The sculpture** before its walls, ray traced. Each wall is lit by its own light, which only grazes the other wall.
 
-# %%
+# %% tags=["picture"]
 def room(mesh, side=110 if SMALL else 420, fine=2):
     """A picture of the sculpture and its shadows on both walls."""
     camera = geometry.PinholeCamera((3.3, 1.0, 3.3), (-0.6, 0, -0.6), fov_y=34, resolution=(side * fine, side * fine))
@@ -116,8 +118,8 @@ for ax, (name, mesh) in zip(axes, meshes.items()):
     ax.set(xticks=[], yticks=[], title=name)
 
 # %% [markdown]
-# **How close**: the overlap of each shadow with its picture, the intersection over their union. The judge is a ray tracer,
-# which shares no code with the shadow maps that were fitted.
+# **How close?** The overlap is the intersection of shadow and picture over their union. The shadows here are ray
+# traced, by code that shares nothing with the fitted shadow maps.
 
 # %%
 overlaps = []

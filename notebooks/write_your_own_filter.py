@@ -1,11 +1,12 @@
 # %% [markdown]
 # # Write your own filter
 #
-# A filter is a frozen module whose fields are its settings, and which turns a map and its look-ups into visibility. This
-# one weighs the compares round a receiver by a Gaussian. It is checked against a closed form, gradient included, and
-# then fitted to a ray-traced shadow beside the uniform disk of the literature.
+# This notebook writes a filter in one cell, checks it and its gradient against a closed form, and fits it to a
+# ray-traced shadow, in comparison with the usual uniform disk. A filter is a frozen module whose fields are its
+# settings. It turns a map and its look-ups into visibility. The example weights the compares around a receiver by a
+# Gaussian.
 
-# %%
+# %% tags=["hide-input"]
 import os
 
 import equinox as eqx
@@ -23,9 +24,10 @@ SMALL = bool(os.environ.get("DIFFSHADOW_SMALL"))  # a quick run, for tests
 pixels, texels, rays = (48, 96, 16) if SMALL else (192, 512, 128)
 
 # %% [markdown]
-# **The filter.** Taps lie where a Gaussian is dense and count the same each, so their mean is a mean weighed by it. Along
-# a spiral (Vogel 1979), tap $i$ of $n$ lies at the radius that holds the share $(i + ½) / n$ of a Gaussian,
-# $\sigma \sqrt{-2 \ln(1 - (i + ½) / n)}$. `mean_of_taps` does the look-ups and gives the derivatives.
+# **The filter.** The density of taps follows a Gaussian and all taps have the same weight, so their mean is weighted by
+# the Gaussian. Taps lie along a spiral (Vogel 1979). The circle through tap $i$ of $n$ contains the fraction
+# $(i + ½) / n$ of the Gaussian, so its radius is $\sigma \sqrt{-2 \ln(1 - (i + ½) / n)}$. `mean_of_taps` does the
+# look-ups and gives the derivatives.
 
 # %%
 class Gaussian(shadow.AbstractFilter):
@@ -44,8 +46,8 @@ class Gaussian(shadow.AbstractFilter):
 
 
 # %% [markdown]
-# **Closed form.** Let all of a map left of $x = 16$ be a caster. A bilinear tap at a distance $x$ from its edge then sees
-# a ramp one texel wide, and the mean of such ramps under a Gaussian is
+# **Closed form.** Let all of a map left of $x = 16$ be a caster. A bilinear tap at a distance $x$ from the caster's
+# edge then sees a ramp one texel wide, and the mean of such ramps under a Gaussian is
 # $$v(x) = \sigma\,[\,G(\tfrac{x + ½}{\sigma}) - G(\tfrac{x - ½}{\sigma})\,], \quad G(z) = z\,\Phi(z) + \varphi(z),
 # \qquad \frac{\partial v}{\partial \sigma} = \varphi(\tfrac{x + ½}{\sigma}) - \varphi(\tfrac{x - ½}{\sigma}).$$
 
@@ -92,7 +94,7 @@ print(f"greatest error with {counts[-1]} taps: {errors[-1][0]:.4f}, of the deriv
 assert errors[-1][0] < 0.01 and errors[-1][1] < 0.02
 
 # %% [markdown]
-# **A scene**, and its truth under a sun of 2° radius.
+# **A scene** under a sun of 2° radius, and its ray-traced truth.
 
 # %%
 knot = geometry.fit_to_size(geometry.library_mesh("torus_knot"), 1.0)
@@ -103,8 +105,8 @@ scene = geometry.Scene(meshes, camera, light)
 truth = reference.trace_visibility(scene, samples=rays)
 
 # %% [markdown]
-# **Fit.** Any number in the filter can be fitted by its name, here `filter.sigma`, with the bias alongside. The uniform
-# disk has as many taps.
+# **Fit.** Any number in the filter can be fitted by its name, here `filter.sigma`, together with the bias. The uniform
+# disk has the same number of taps.
 
 # %%
 bias = shadow.Bias(constant=0.5, slope=0.5, normal_offset=0.0)  # texels
@@ -133,7 +135,7 @@ for name, (kernel, width) in filters.items():
     print(f"{name:12} RMSE {error(result.initial):.4f} before, {error(result.fitted):.4f} after: {told}")
 print(f"noise of the reference: RMSE {truth.noise_floor:.4f}")
 
-# %%
+# %% tags=["picture"]
 figure, axes = plt.subplots(1, 3, figsize=(11, 3.6))
 for ax, (name, image) in zip(axes, pictures.items()):
     shown = ax.imshow(image, vmin=0, vmax=1)
@@ -141,6 +143,6 @@ for ax, (name, image) in zip(axes, pictures.items()):
 bar = figure.colorbar(shown, ax=axes, shrink=0.8, label="visibility")
 
 # %% [markdown]
-# **From YAML.** With the class in a file `my_filters.py` beside a configuration, or in a package, the key
-# `filter: {type: my_filters:Gaussian, sigma: 2}` draws with it. Its fields are its keys, and `filter.sigma` is a number to
-# fit. See "Filters, techniques and losses of your own" in `docs/usage.md`.
+# **From YAML.** Save the class in a file `my_filters.py` beside a configuration, or in a package. The key
+# `filter: {type: my_filters:Gaussian, sigma: 2}` then selects the filter. The fields of the class are the keys, and
+# `filter.sigma` can be fitted. See "Filters, techniques and losses of your own" in `docs/usage.md`.

@@ -56,7 +56,7 @@ def test_notebook_runs_at_small_settings(path, kernel):
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebook_and_its_text_hold_the_same_cells(path):
-    cells = lambda notebook: [(cell.cell_type, cell.source) for cell in notebook.cells]
+    cells = lambda notebook: [(cell.cell_type, cell.source, cell.metadata.get("tags")) for cell in notebook.cells]
     kept = nbformat.read(path, as_version=4)
     nbformat.validate(kept)
     assert cells(kept) == cells(jupytext.read(path.with_suffix(".py"), fmt="py:percent"))
@@ -73,10 +73,19 @@ def test_notebook_is_kept_with_its_outputs(path):
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_imports_fold_and_one_picture_leads(path):
+    cells = [cell for cell in nbformat.read(path, as_version=4).cells if cell.cell_type == "code"]
+    tagged = lambda tag: [number for number, cell in enumerate(cells) if tag in cell.metadata.get("tags", ())]
+    assert tagged("hide-input") == [number for number, cell in enumerate(cells) if "\nimport " in cell.source] == [0]
+    (chosen,) = tagged("picture")
+    assert any("image/png" in output.get("data", {}) for output in cells[chosen].outputs)
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_outputs_name_no_machine(path):
     kept = nbformat.read(path, as_version=4)
     assert not machine_words(json.dumps([without_pictures(output) for output in outputs(kept)]))
-    assert not [cell.metadata for cell in kept.cells if cell.metadata], "times, for one"
+    assert not [cell.metadata for cell in kept.cells if cell.metadata.keys() - {"tags"}], "times, for one"
 
 
 def test_words_of_a_machine_are_found():

@@ -1,9 +1,12 @@
 """What README and the docs say to run: every block of Python, and every command at a small size."""
 
 import ast
+import os
 import re
 import shlex
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -181,3 +184,27 @@ def test_python_of_the_engines_page_runs_and_takes_the_engines_maps(engines_page
     off = np.abs(np.asarray(names["visibility_in_babylon_js"]) - names["visibility"])
     assert (off < 1 / 255).mean() > 0.999
     assert 0 < np.mean(names["visibility"]) < 1
+
+
+def test_the_first_technique_works_as_its_page_prints_it():
+    page = (ROOT / "docs" / "contributing.md").read_text(encoding="utf-8")
+    for folder in ("diffshadow", "tests", "configs"):
+        shutil.copytree(ROOT / folder, folder, ignore=shutil.ignore_patterns("__pycache__", "*.npz"))
+    shutil.copy(ROOT / "pyproject.toml", ".")
+    # Each file follows the words "this as" and its name.
+    files = re.findall(r"this\sas `([\w/.]+)`:\n\n```\w+\n(.*?)```", page, re.DOTALL)
+    assert [Path(name).name for name, _ in files] == ["_cross.py", "cross.yaml", "test_cross.py"]
+    for name, text in files:
+        Path(name).write_text(text, encoding="utf-8")
+    changes = "".join(re.findall(r"```diff\n(.*?)```", page, re.DOTALL))
+    # It refuses a change whose lines are no longer there.
+    subprocess.run(["git", "apply", "-"], input=changes, text=True, check=True)
+    here = {**os.environ, "PYTHONPATH": os.getcwd()}
+    for command in (
+        *(["pytest", "-n", "0", "-q", "tests/shadow/test_cross.py"], ["diffshadow", "fit", "cross.yaml", *SMALL]),
+        ["pytest", "-n", "0", "-q", "tests/test_derivatives.py", "-k", "cross or each_public or each_fitted"],
+        ["pytest", "-n", "0", "-q", "tests/config/test_config.py", "-k", "fault_is_reported"],
+    ):
+        done = subprocess.run([sys.executable, "-m", *command], env=here, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, (command, done.stdout, done.stderr)
+        assert str(ROOT / "diffshadow") not in done.stdout

@@ -74,6 +74,37 @@ def test_formulas_are_mathml(site):
     assert r"\sigma" not in page
 
 
+def test_notebooks_begin_with_what_one_gets(site):
+    page = (site / "notebooks" / "first_look" / "index.html").read_text(encoding="utf-8")
+    text, folded = page.index("A shadow map needs a bias"), page.index("<summary>Imports and sizes</summary>")
+    picture = page.index('src="../first_look_1.png"')
+    assert text < picture < folded < page.index("matplotlib.pyplot")
+    assert page.count('src="../first_look_1.png"') == 2, "at the top, and where it is drawn"
+
+
+def test_search_shows_prose_and_no_imports(site):
+    index = json.loads((site / "search" / "search_index.json").read_text(encoding="utf-8"))["docs"]
+    text = {section["location"]: section["text"] for section in index}
+    assert not [place for place in text if "DIFFSHADOW_SMALL" in text[place] and place != "notebooks/"]
+    code = {place: re.findall(r"<pre>(.*?)</pre>", text[place], re.DOTALL) for place in text}
+    assert not [
+        place for place in code if re.search(r"(^|<code>)(import|from) \w", "\n".join(code[place]), re.MULTILINE)
+    ]
+    assert not [place for place in text if "Source code in" in text[place]]
+    snippet = text["docs/gpu/#memory"]
+    assert snippet.index("JAX reserves") < snippet.index("XLA_PYTHON_CLIENT_PREALLOCATE=false")
+    titles = {section["location"]: section["title"] for section in index}
+    assert titles["docs/gpu/"] == "On a GPU"
+
+
+def test_imports_are_left_out_of_code_and_prose_comes_first():
+    imports = "import a\nfrom b import (\n    c,\n)\nfrom d import e\n\nsetup()  # first\n"
+    of = hook("pages").prose_first
+    code = "<pre><code>\n\nx = important()\n</code></pre>"
+    assert of(f"<pre><code>{imports}x = important()\n</code></pre> <p>Said.</p>") == f"<p>Said.</p>\n{code}"
+    assert of("<pre><code>import a\n</code></pre> <p>Said.</p>") == "<p>Said.</p>"
+
+
 def test_undocumented_names_are_found(tmp_path, monkeypatch):
     from griffe import GriffeLoader
 

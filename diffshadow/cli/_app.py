@@ -51,11 +51,12 @@ app.register_install_completion_command(add_to_startup=False)
 
 
 def file_of(given: Path, *, sweep: bool = False) -> Path:
-    """The configuration's file. Of a run's folder, the one with the values that the run found, which is said.
+    """The configuration's file. For a run's folder, it is the file with the values that the run found, and the command
+    prints its name.
 
     **Arguments:**
 
-    - `sweep`: whether the folder may be of a sweep, whose own configuration is meant.
+    - `sweep`: whether the folder of a sweep is allowed, as the sweep's configuration.
     """
     if not given.is_dir():
         return given
@@ -65,7 +66,7 @@ def file_of(given: Path, *, sweep: bool = False) -> Path:
 
 
 def loaded(given: Path, overrides: Sequence[str], *, fitting: bool = False) -> Config:
-    """The configuration of a run. Says what was found for it."""
+    """The configuration of a run. Prints what was found for parts that it leaves out."""
     settings = load_config(file_of(given), overrides, fitting=fitting)
     print_notes(settings.notes)
     return settings
@@ -88,7 +89,8 @@ def check_count(option: str, value: int | None, least: int, most: int | None = N
 
 @contextlib.contextmanager
 def counting(name: str, every: int = 1) -> Iterator[Callable[[int, int], None]]:
-    """A progress bar, called with the number done and of all. It moves with `every` so many, and only on a terminal."""
+    """A progress bar, which is called with the finished number and the total. It moves after every `every` items, and
+    only on a terminal."""
     console = Console()
     bar = Progress(
         TextColumn(name),

@@ -15,9 +15,9 @@ from ._jax import start_jax
 def convert(config: Path, /, *overrides: str, engine: EngineName | None = None) -> None:
     """Prints the bias and the radius of CONFIG in the units of engines, or the code for one of them.
 
-    Of a finished fit, it converts the fitted values. To a bias that engines lack, such as a slope or a receiver plane,
-    it fits the shadows of three.js and Babylon.js, which takes as long as two fits, and says how to fit what another
-    engine has. The technique may be an engine's own.
+    For the folder of a finished fit, it converts the fitted values. If engines lack the bias, such as a slope or a
+    receiver plane bias, it fits the shadows of three.js and Babylon.js instead, which takes as long as two fits. For
+    other engines, it prints the command for such a fit. The technique may be an engine's own.
 
     Example: `diffshadow convert runs/quickstart`
 
@@ -49,10 +49,11 @@ def convert(config: Path, /, *overrides: str, engine: EngineName | None = None) 
 def export(
     config: Path, /, *overrides: str, shader: ShaderLanguage = "glsl", page: bool = False, output: Path | None = None
 ) -> None:
-    """Writes the shadows of CONFIG as a shader for a renderer of one's own.
+    """Writes the shadows of CONFIG as a shader for your own renderer.
 
-    Of a finished fit, it takes the fitted values. The folder also holds the scene, the light's matrices, and a page
-    that says how the shadow map is to be drawn in OpenGL, WebGPU and Direct3D. Its path is the last line printed.
+    For the folder of a finished fit, the shader has the fitted values. The folder also has the scene, the light's
+    matrices, and a page that says how to draw the shadow map in OpenGL, WebGPU and Direct3D. Its path is the last line
+    printed.
 
     Example: `diffshadow export runs/quickstart`
 
@@ -99,7 +100,7 @@ def defaults(
     near: float | None = None,
     distance: float | None = None,
 ) -> None:
-    """Prints rules of thumb: biases that hold over many scenes, and what they cost against a fit.
+    """Prints rules of thumb: biases that work in many scenes, and how much more error than a fit they have.
 
     Example: `diffshadow defaults --filter random_disk --radius 3`
 
@@ -152,7 +153,7 @@ def import_(
     """Makes a configuration of SCENE, a file that three.js or another program stored: JSON of scene.toJSON(), GLB or
     glTF 2.0.
 
-    Says what is taken over, and what is left out or otherwise than in the scene. The path of the configuration is the
+    Prints what is imported, what is left out, and what differs from the scene. The path of the configuration is the
     last line printed.
 
     Example: `diffshadow import scene.json --output scene`

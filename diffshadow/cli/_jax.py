@@ -27,7 +27,7 @@ def start_jax() -> None:
 
 
 def join_processes() -> None:
-    """Makes this process one of several that JAX knows. All but the first print only errors.
+    """Makes this process one of several processes that share a fit through JAX. All but the first print only errors.
 
     **Raises** `ValueError` unless a launcher has started several processes.
     """

@@ -24,8 +24,8 @@ _NO_MEMORY = (
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Runs the command with `arguments`, by default the process's own, and exits.
 
-    The exit code is 0 on success, 2 on a mistake of the user's, which is reported in one message on stderr, and 130
-    after an interrupt. Any other error is a bug, and keeps its traceback.
+    The exit code is 0 on success and 130 after an interrupt. It is 2 after a mistake in the user's input, which is
+    reported in one message on stderr. Any other error is a bug, and keeps its traceback.
     """
     # Without JAX, which `_jax.start_jax` loads.
     setup(programs=False, progress=False)
@@ -63,9 +63,10 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
 
 def _is_mistake(error: ValueError | OSError) -> bool:
-    """Whether `error` is a mistake of the user's rather than a bug in this program.
+    """Whether `error` comes from a mistake in the user's input, and not from a bug in this program.
 
-    This package raises `ValueError` only for mistakes of the user's. A `ValueError` raised inside a library is a bug.
+    This package raises `ValueError` only for mistakes in the user's input. A `ValueError` raised inside a library is a
+    bug.
     """
     if isinstance(error, ConfigError | OSError):
         return True

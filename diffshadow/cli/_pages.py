@@ -19,7 +19,7 @@ _CHANGE = re.compile(r"([^=]+)=([-+.\deE]*\d\.?):([-+.\deE]*\d\.?)")
 
 @app.command
 def view(config: Path, /, *overrides: str, port: int = 0, browser: bool = True) -> None:
-    """Shows CONFIG in a page of the browser, and draws it again as its settings are dragged. Ctrl-C ends it.
+    """Opens a page in the browser that shows CONFIG and redraws it while you drag its settings. Ctrl-C ends it.
 
     Example: `diffshadow view configs/quickstart.yaml`
 
@@ -55,9 +55,10 @@ def animate(
     view: str = "shaded",
     pixels: int = 384 * 288,
 ) -> None:
-    """Writes an animation: of a configuration whose numbers change, or of a finished fit.
+    """Writes an animation of a configuration whose numbers change, or of a finished fit.
 
-    A fit's is put into its folder, and into its report. The path of the animation is the last line printed.
+    The animation of a fit is written to the fit's folder and shown in its report. The path of the animation is the last
+    line printed.
 
     Example: `diffshadow animate configs/quickstart.yaml scene.light.azimuth=-150:-70`
 

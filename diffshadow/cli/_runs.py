@@ -120,7 +120,7 @@ def validate(config: Path, /, *overrides: str, preview: bool = False) -> None:
 
 @app.command
 def cache(*, clear: bool = False) -> None:
-    """Says where traced references and compiled programs are kept, and how much they take.
+    """Prints where traced references and compiled programs are cached, and their size.
 
     Each kind takes at most 2 GiB: beyond that, the least recently used are removed. The folder is $DIFFSHADOW_CACHE, by
     default `diffshadow` in the user's cache folder.

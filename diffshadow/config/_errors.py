@@ -25,9 +25,9 @@ class Location:
 
 @dataclass(eq=False)
 class Origin:
-    """Where the keys of a configuration were written, and `notes` on parts that were found where nothing was written.
+    """Where the keys of a configuration were written, and `notes` on parts that the program chose.
 
-    All origins compare equal, so that two configurations with the same content are equal wherever they were written.
+    All origins compare equal, so that two configurations with the same content are equal.
     """
 
     source: str = "configuration"

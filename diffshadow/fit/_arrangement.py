@@ -23,8 +23,8 @@ class MeshPose(eqx.Module):
     - `vertices`: positions of single vertices before translation and rotation, world units, by their index as text.
         Vertices at the same position move together, and shading normals follow them.
     - `home`: (3,), the value of `translate` at which the mesh is not translated.
-    - `smoothing`: over which faces shading normals are smooth at these vertices; none without any.
-    - `albedo`: the colour of all its faces; none to leave it as it is.
+    - `smoothing`: the faces over which shading normals are smooth at these vertices; `None` without such vertices.
+    - `albedo`: the colour of all its faces; `None` to keep its colours.
     """
 
     translate: Vector
@@ -44,12 +44,12 @@ class MeshPose(eqx.Module):
         *,
         coloured: bool = False,
     ) -> "MeshPose":
-        """The pose of `mesh` as it stands.
+        """The current pose of `mesh`.
 
         **Arguments:**
 
         - `vertices`: indices of the vertices that can be moved one by one.
-        - `home`: the value of `translate` for the mesh as it stands.
+        - `home`: the value of `translate` for the mesh at its current place.
         - `coloured`: whether its colour can be fitted, in a fit to a picture. A mesh of several colours keeps them.
 
         **Raises** `ValueError` for a vertex that the mesh does not have.
@@ -95,8 +95,8 @@ class Arrangement(eqx.Module):
     - `technique`: the shadow mapping.
     - `lights`: the pose of each light.
     - `meshes`: the pose of each mesh.
-    - `camera`, `shading`, `exposure`: the camera's pose, the shading, and by how many stops the picture is lightened,
-        for a fit to a picture; none in other fits.
+    - `camera`, `shading`, `exposure`: the camera's pose, the shading, and by how many stops the picture is brightened,
+        for a fit to a picture; `None` in other fits.
     """
 
     technique: ShadowMapping
@@ -110,7 +110,7 @@ class Arrangement(eqx.Module):
     def of(
         cls, technique: ShadowMapping, lights: Sequence[AbstractLight], meshes: Sequence[Mesh | MeshPose]
     ) -> "Arrangement":
-        """Everything as it stands."""
+        """Everything with its current values."""
         poses = (mesh if isinstance(mesh, MeshPose) else MeshPose.of(mesh) for mesh in meshes)
         return cls(technique, tuple(light.pose() for light in lights), tuple(poses))
 
@@ -122,16 +122,18 @@ class Arrangement(eqx.Module):
         shading: AbstractShading,
         exposure: float,
     ) -> "Arrangement":
-        """Everything in a picture of `scene` as it stands. Meshes of one colour have an `albedo`."""
+        """Everything that a picture of `scene` depends on, with the scene's values. Meshes of one colour have an
+        `albedo`."""
         meshes = [MeshPose.of(mesh, coloured=True) for mesh in scene.meshes]
         return cls.of(technique, scene.lights, meshes).pictured(scene, shading, exposure)
 
     def pictured(self, scene: Scene, shading: AbstractShading, exposure: float) -> "Arrangement":
-        """With what only pictures of `scene` show: the camera's pose, the `shading`, and the `exposure` in stops."""
+        """The same with the values that only pictures of `scene` need: the camera's pose, the `shading`, and the
+        `exposure` in stops."""
         return dataclasses.replace(self, camera=scene.camera.pose(), shading=shading, exposure=as_float(exposure))
 
     def placed(self, scene: Scene) -> Scene:
-        """`scene`, whose lights, meshes and camera the arrangement is of, as they are arranged.
+        """`scene` with the lights, meshes and camera of the arrangement.
 
         Lights that can be refitted have the frustum of their shadow map fitted to the meshes. `io.write_gltf` writes
         such a scene for other programs.

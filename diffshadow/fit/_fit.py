@@ -35,31 +35,32 @@ from .solvers import OptimistixSolver, Solver
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class FitResult:
-    """What a fit found, and what it was asked.
+    """The result of a fit, and its arguments.
 
     - `technique`: the fitted technique, with the hard compare.
     - `initial`, `fitted`: values by name.
-    - `phases`: how each went; `chosen`: which of them ended best under the hard compare, -1 if the start was best. Of
-        phases whose losses differ by less than the solver's `noise`, the last.
+    - `phases`: the result of each phase; `chosen`: the phase that ended best under the hard compare, -1 if the start
+        was best. If losses differ by less than the solver's `noise`, the last phase is chosen.
     - `history`: every evaluation, in order.
-    - `flat`: names of the parameters that stayed where they began, and have no slope there; they were not fitted.
+    - `flat`: names of the parameters that were not fitted: they kept their start, where the loss has no slope.
     - `seconds_compiling`, `seconds_running`: of the whole fit.
     - `arrangement`: the fitted technique, lights and meshes, where lights or meshes were fitted.
-    - `precision`: how well the values are determined; none if the start was best, or under a loss of one's own.
+    - `precision`: how well the values are determined; `None` if the start was best, or for a loss of your own.
     - `starts`: how each of several starts went; `phases` and `initial` belong to the best.
     - `enlargements`: how often a phase was repeated with memory for more silhouettes.
-    - `profiles`: of the parameters, if intervals were asked for; they are about the best values.
-    - `best`: the values of the least error, by name. Others are `fitted` only if they are preferred.
-    - `front`: of false shadow against false light, if it was asked for.
+    - `profiles`: of the parameters, around the best values, if intervals were asked for.
+    - `best`: the values of the least error, by name. They differ from `fitted` only if `Sureness.prefer` is given.
+    - `front`: the front of false shadow against false light, if asked for.
     - `at_bounds`: the fitted values that ended on a bound, and whether the error still falls there.
-    - `errors`: the roots of the loss under the hard compare, at the start and at the best values; 0 where a loss of
-        one's own is less.
-    - `problems`: the fitted problems, with the memory for silhouettes that it needed, and maps laid out as fitted.
-    - `parameters`, `solver`, `search`, `sureness`: what was fitted, and how, as given.
-    - `is_own_loss`: whether `errors` and the losses of `phases` and `history` are of a loss of one's own, rather than
+    - `errors`: the square roots of the loss under the hard compare, at the start and at the best values; 0 if a loss of
+        your own is negative.
+    - `problems`: the fitted problems, with the memory for silhouettes that the fit needed, and maps with the fitted
+        layout.
+    - `parameters`, `solver`, `search`, `sureness`: the arguments of the fit.
+    - `is_own_loss`: whether `errors` and the losses of `phases` and `history` come from a loss of your own instead of
         mean square errors.
 
-    `study.save_fit(result, folder)` writes it with its images and a report, as `diffshadow fit` does.
+    `study.save_fit(result, folder)` writes the result with its images and a report, as `diffshadow fit` does.
     """
 
     technique: FittableTechnique
@@ -123,30 +124,31 @@ def fit(
     """Fits numbers of a technique, or of an arrangement, so that its visibility comes closest to the reference.
 
     Visibility has no useful derivative with respect to numbers that lay out the map, such as the spacing of cascades.
-    If there are such, a bounded search over all parameters comes before the fit by gradient.
+    If there are such numbers, a bounded search over all parameters comes before the fit by gradient.
 
     The fit runs in phases (`_phases.py`). The hard compare at full resolution judges the start and the end of each, and
     the best of these is the result: a fit never ends worse than it began.
 
     **Arguments:**
 
-    - `problem`: one, or several that share what is fitted, such as one for each light; their errors are stacked.
-    - `parameters`: what is fitted, and within which bounds.
+    - `problem`: one problem, or several that share the fitted values, such as one for each light; their errors are
+        stacked.
+    - `parameters`: the fitted numbers with their bounds.
     - `solver`: a `Solver`, or any least-squares solver or minimiser of optimistix, such as `optimistix.BFGS(1e-4,
         1e-6)`. `Solver(method=...)` gives the latter another number of steps.
     - `anneal`: how the compare hardens. A fit of poses anneals in its last phases if it also fits a bias.
     - `loss`: of the errors of several problems; by default the mean over all pixels. Or a function of three images (h,
         w), predicted, reference and mask (whether each pixel counts), that returns an array of residuals, whose squares
-        are summed, or a number, 0 or more. It is called with one image after the other, and the loss is the mean over
-        all images. Where no pixel counts, the predicted image is the reference. Both are blurred in the phases of a fit
-        of poses. A number needs a minimiser: `Solver("bfgs")`, which is then the default, `"lbfgs"`, `"adam"`, or one
-        of optimistix. An `equinox.Module` may hold arrays; those in a plain function's closure become constants of its
+        are summed, or a number, 0 or more. It is called once for each image, and the loss is the mean over all images.
+        Where no pixel counts, the predicted image is the reference. Both images are blurred in the phases of a fit of
+        poses. A number needs a minimiser: `Solver("bfgs")`, which is then the default, `"lbfgs"`, `"adam"`, or one of
+        optimistix. An `equinox.Module` may hold arrays; those in a plain function's closure become constants of its
         compiled program.
-    - `search`, `sureness`: where it looks; and what it finds out about the values near the best.
+    - `search`, `sureness`: where the fit searches, and which intervals and fronts around the best values it computes.
     - `on_step`: called with every evaluation of the loss, while the fit runs; also with evaluations of a phase that is
-        then repeated with memory for more silhouettes. What it raises ends the fit, and is raised by `fit`.
-    - `progress`: called with what the fit is at, as text, and with the fraction that is done, none if that is not
-        known. If neither of these two is given, `diffshadow.setup` decides whether a line shows it.
+        then repeated with memory for more silhouettes. An error in `on_step` ends the fit, and `fit` raises this error.
+    - `progress`: called with the current stage of the fit, as text, and with the finished fraction, or `None` if the
+        fraction is not known. If neither of these two is given, `diffshadow.setup` decides whether a line shows it.
 
     **Raises** `ValueError` if there are no parameters, one does not exist, is named twice or has bounds that the
     technique does not allow, another argument is out of its range, no pixel counts, the visibility is not finite or the

@@ -31,16 +31,16 @@ Sides = tuple[float, float]
 
 
 class FrontPoint(NamedTuple):
-    """A Pareto-optimal setting: no other one that was found has both less false shadow and less false light.
+    """A Pareto-optimal setting: no other setting that was found has both less false shadow and less false light.
 
     - `values`: of the parameters, (p,).
-    - `false_shadow`, `false_light`: roots of the losses of the pixels that are too dark, and of those too light. For a
-        mean over the pixels, the sum of their squares is the loss.
-    - `ratio`: the weight of false shadow divided by the weight of false light. Of all settings that were found, this
-        one has the least weighted sum of the squares.
-    - `rmse`: over all pixels that count, whatever the loss of the fit.
-    - `is_knee`: whether it is farthest from the line between the ends of the front, both errors in units of what they
-        range over: beyond it one error grows much for little of the other. Its RMSE may be far from the least.
+    - `false_shadow`, `false_light`: square roots of the losses of the pixels that are too dark, and of the pixels that
+        are too light. For a mean over the pixels, the sum of their squares is the loss.
+    - `ratio`: the weight of false shadow divided by the weight of false light. This setting has the least weighted sum
+        of squares among all settings that were found.
+    - `rmse`: over all pixels that count, also if the fit has another loss.
+    - `is_knee`: whether it is farthest from the line between the ends of the front, with each error in units of its
+        range. Beyond the knee, one error grows much while the other falls little. Its RMSE may be far from the least.
     """
 
     values: Values

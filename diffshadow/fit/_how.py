@@ -14,19 +14,19 @@ from .problems import Joint, check_falling
 
 @dataclasses.dataclass(frozen=True)
 class Search:
-    """Where a fit looks, and at how much of the images.
+    """Where a fit searches, and how many pixels a step evaluates.
 
-    - `starts`: how many starts are tried: the initial values, and a Sobol sequence over the bounds. The best of them
-        under the first blurs, by the hard compare, goes on.
+    - `starts`: how many starts are tried: the initial values, and a Sobol sequence over the bounds. The start that is
+        best after the first blurs, under the hard compare, continues.
     - `seed`: of the starts.
-    - `blurs`: for a fit of poses, the standard deviations in pixels of the Gaussian under which images are compared,
-        which fall. Phases before the last move poses only; a phase under the best blur for the map's texels follows. If
-        left out, from an eighth of the images' shorter side to 3, each about a third of the one before.
+    - `blurs`: for a fit of poses, the falling standard deviations in pixels of the Gaussian under which images are
+        compared. Phases before the last move poses only; a phase under the best blur for the map's texels follows. If
+        left out, widths fall from an eighth of the images' shorter side to 3, each about a third of the previous width.
     - `evaluations`: how often the error is evaluated, for each parameter, in the search for numbers that lay out the
         map.
-    - `pixels`: the most pixels that a step of a fit of a technique evaluates. If more count, it takes a random part;
-        for a loss other than the mean, most of it from the worst problems. Their errors are rescaled to whole images
-        when a phase starts. The judge, and a user's loss, see all.
+    - `pixels`: the most pixels that a step of a fit of a technique evaluates. If more pixels count, a step evaluates a
+        random sample. For a loss other than the mean, most of the sample comes from the worst problems. Their errors
+        are rescaled to whole images when a phase starts. The judge, and a user's loss, see all pixels.
     - `devices`: how many devices share the images of a fit of a technique; 0 for all that JAX sees.
 
     **Raises** `ValueError` for a value that is not allowed.
@@ -49,15 +49,15 @@ class Search:
 
 @dataclasses.dataclass(frozen=True)
 class Sureness:
-    """What a fit finds out about the values near the best.
+    """The intervals and fronts around the best values that a fit computes.
 
     - `within`: for each of these fractions ε, finds the interval of every parameter in which the error stays below
         (1 + ε) times the best, while the others are fitted again.
-    - `prefer`, `tolerance`: names of parameters, and the bound, `"lower"` or `"upper"`, that they should come close to.
-        Of all values whose error is at most (1 + `tolerance`) times the best, these are the result: the first parameter
-        goes as far as it can, then the second, and so on. For fits of a technique, as `within` is.
-    - `front`: how many weighted sums of false shadow and false light are made least, 3 or more; 0 for none. For fits
-        of a technique, with a loss that has factors of both.
+    - `prefer`, `tolerance`: names of parameters, and the bound, `"lower"` or `"upper"`, to which they should come
+        close. The result is chosen among all values whose error is at most (1 + `tolerance`) times the best: the first
+        parameter goes as far as possible, then the second, and so on. Like `within`, only for fits of a technique.
+    - `front`: the number of settings on the front, 3 or more; each minimises a weighted sum of false shadow and false
+        light. 0 for no front. Only for fits of a technique, with a loss that has factors for both.
 
     **Raises** `ValueError` for a value that is not allowed.
     """
@@ -75,7 +75,8 @@ class Sureness:
             raise ValueError(f"Sureness.front is {self.front}; expected 0, or {FEWEST_POINTS} or more")
 
     def check(self, joint: Joint, names: list[str]) -> None:
-        """**Raises** `ValueError` for what a fit of the parameters with these `names` cannot find."""
+        """**Raises** `ValueError` for intervals and fronts that a fit of the parameters with these `names` cannot
+        have."""
         if (self.within or self.prefer) and joint.moves:
             raise ValueError("intervals or preferences are asked for in a fit of lights or meshes; expected none there")
         for name, _ in self.prefer:

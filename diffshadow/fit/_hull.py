@@ -128,7 +128,7 @@ def hull_start(
     """A closed mesh within the visual hull of the views' references, for a fit to start from.
 
     The hull is found on a grid of 64 cells along its longest side, and smoothed, which shrinks it. It has the hull's
-    parts and holes, but for small ones. Views whose light moves are left out if there are others.
+    parts and holes, except for small ones. Views whose light moves are ignored if there are others.
 
     **Arguments:**
 

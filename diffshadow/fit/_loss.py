@@ -37,7 +37,7 @@ class Loss(CheckedModule):
 
             min over t of  t + t / (p α) Σ sₖ log(1 + exp(p (Eₖ / t - 1))),
 
-        in which the logarithm stands for Rockafellar's and Uryasev's max(0, p (Eₖ / t - 1)).
+        in which the logarithm replaces Rockafellar's and Uryasev's max(0, p (Eₖ / t - 1)).
 
     **Raises** `ValueError` if both factors are 0.
     """
@@ -56,7 +56,7 @@ class Loss(CheckedModule):
             raise ValueError("false_shadow and false_light are both 0; expected one of them greater than 0")
 
     def in_phase(self, part: float) -> "Loss":
-        """For a phase at `part` of the way from the first, 0, to the last, 1: with the power that it takes."""
+        """The loss of a phase, with the phase's power. `part` is 0 for the first phase and 1 for the last."""
         if self.over == "mean":
             return self
         power = as_float(_FIRST_POWER * (_LAST_POWER / _FIRST_POWER) ** part)
@@ -67,7 +67,7 @@ class Loss(CheckedModule):
         return Loss(self.over, self.fraction, self.false_shadow, self.false_light)
 
     def reweighted(self, ratio: float) -> "Loss":
-        """With the ratio of its two factors, false shadow to false light, multiplied by `ratio`."""
+        """The loss with the ratio of its two factors, false shadow to false light, multiplied by `ratio`."""
         root, dark, light = ratio**0.5, float(self.false_shadow), float(self.false_light)
         factors = lambda loss: (loss.false_shadow, loss.false_light)
         # Unchecked: a ratio may carry a factor beyond its limit.
@@ -99,7 +99,7 @@ class Loss(CheckedModule):
     def curvature_rows(
         self, errors: Errors, shares: Errors, gradients: Float[Array, "v p"]
     ) -> Float[Array, "v p"] | None:
-        """Rows B: BᵀB is what the change of the weights adds to the Gauss-Newton matrix.
+        """Rows B: The change of the weights adds BᵀB to the Gauss-Newton matrix.
 
         Since losses are homogeneous, it is to first order in E
 
@@ -108,7 +108,7 @@ class Loss(CheckedModule):
         with cₖ = (p - 1) wₖ Eₖ for the mean of power p, and cₖ = p sₖ σ'(zₖ) Eₖ² / (α t) for the worst fraction α,
         where σ is the logistic function and zₖ = p (Eₖ / t - 1).
 
-        **Arguments:** `gradients`: (v, p), of the errors. **Returns:** (v, p), or none if there is no such term.
+        **Arguments:** `gradients`: (v, p), of the errors. **Returns:** (v, p), or `None` if there is no such term.
         """
         if self.power is None:
             return None

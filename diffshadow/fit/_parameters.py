@@ -21,12 +21,12 @@ class Parameter(eqx.Module):
     """A number to fit.
 
     - `name`: for results and messages.
-    - `initial`, `lower`, `upper`: where it starts, and the bounds it keeps.
+    - `initial`, `lower`, `upper`: its start and its bounds.
     - `unit`: of all three, for reports.
-    - `path`: dotted path to it, such as `"filter.radius"`; its name if left out. A path may stop at a module that holds
-        one number: `"bias.constant"` means `"bias.constant.value"`.
-    - `offset`: what the number at `path` is counted from, for a coordinate of a scene that has an origin: the number is
-        the parameter's value less the offset. A value far from 0 keeps its digits in this way.
+    - `path`: dotted path to the number, such as `"filter.radius"`; by default the parameter's name. A path may stop at
+        a module that holds one number: `"bias.constant"` means `"bias.constant.value"`.
+    - `offset`: the origin's coordinate, for a coordinate in a scene that has an origin. The number at `path` is the
+        parameter's value minus the offset. A value far from 0 keeps its digits in this way.
 
     **Raises** `ValueError` unless `lower <= initial <= upper` and `lower < upper`, all finite.
 
@@ -69,7 +69,8 @@ class Parameter(eqx.Module):
 
 
 class Parameters(eqx.Module):
-    """Where the fitted numbers are in a subject, their bounds, and the smooth map onto these from all real numbers.
+    """The places of the fitted numbers in a subject, their bounds, and the smooth map from all real numbers onto the
+    bounds.
 
     With `x = lower + (upper - lower) (1 + sin y) / 2` (James & Roos 1975) every `y` is allowed, and the bounds
     themselves can be reached. `x` are called values, and `y` free values.
@@ -183,7 +184,7 @@ def _listed(module: PyTree) -> str:
 
 
 def with_values(module: PyTree, names: Sequence[str], values: Float[Array, " p"]) -> PyTree:
-    """`module` with the numbers that `names` mean replaced by `values` (p,).
+    """`module` with the numbers at `names` replaced by `values` (p,).
 
     !!! Example
 

@@ -42,24 +42,25 @@ class Precision(NamedTuple):
 
         S = Σᵢⱼ w(xᵢ - xⱼ) w(yᵢ - yⱼ) sᵢ sⱼᵀ,   w(d) = max(0, 1 - |d| / L),
 
-    which is the mean, over all offsets of a grid of L x L pixels, of the estimate that takes the sums over its cells as
-    independent. L is four times the blur's standard deviation, which covers a texel. With L = 1, without blur, this is
-    the estimate of White, "A heteroskedasticity-consistent covariance matrix estimator", Econometrica 48 (1980).
+    which is a mean over all offsets of a grid of L x L pixels. For each offset, the sums over the grid's cells are
+    treated as independent. L is four times the blur's standard deviation, which covers a texel. With L = 1, without
+    blur, this is the estimate of White, "A heteroskedasticity-consistent covariance matrix estimator", Econometrica 48
+    (1980).
 
     *The remaining step.* Where pixels jump from lit to shadowed as poses move, a fit ends near the minimum rather than
     at it. The square δδᵀ of the step δ = -(JᵀB²J)⁻¹ g is an estimate of that error.
 
-    *Other grids of texels.* Where the map's texels lie is arbitrary, and a caster as thin as a texel looks different on
-    every grid. At the end of a fit of lights or meshes, maps are therefore drawn again with the grid moved by a part of
-    a texel, to K = 4 places. Grid k has the residuals rₖ and the step δₖ = -(JᵀB²J)⁻¹ JᵀB² rₖ: how far away, to first
-    order, the fit would have ended on that grid. The mean (1/K) Σₖ δₖ δₖᵀ is the third part.
+    *Other grids of texels.* The position of the map's texels is arbitrary, and a caster as thin as a texel looks
+    different on every grid. At the end of a fit of lights or meshes, maps are therefore drawn again with the grid moved
+    by a part of a texel, to K = 4 places. Grid k has the residuals rₖ and the step δₖ = -(JᵀB²J)⁻¹ JᵀB² rₖ: how far
+    away, to first order, the fit would have ended on that grid. The mean (1/K) Σₖ δₖ δₖᵀ is the third part.
 
-    The third part is missing in fits of a technique alone, which draw no map again. It is δδᵀ under maps whose texels
-    have no even grid: warped ones, and those with pages or with cascades of several sizes. Deviations for casters
+    The third part is missing in fits of a technique alone, which draw no map again. It is δδᵀ for maps without a
+    regular grid of texels: warped maps, and maps with pages or with cascades of several sizes. Deviations for casters
     thinner than a texel are then too small.
 
     - `names`: the parameters whose gradient is not zero throughout.
-    - `deviations`: their standard deviations, in their units; large for what is undetermined.
+    - `deviations`: their standard deviations, in their units; large for undetermined parameters.
     - `correlations`: (p, p), in [-1, 1].
     - `undetermined`: each entry names the parameters of a combination that the image hardly depends on.
     """

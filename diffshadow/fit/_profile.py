@@ -40,9 +40,9 @@ class End(NamedTuple):
 
 
 class Interval(NamedTuple):
-    """The values about the best at which the error is at most `1 + within` of the best.
+    """The values around the best at which the error is at most `1 + within` times the best.
 
-    It ends where the error first exceeds this limit. The error may jump there, since pixels do.
+    It ends where the error first exceeds this limit. The error may jump there, since pixels jump from lit to shadowed.
     """
 
     within: float

@@ -47,7 +47,7 @@ class Outcome(NamedTuple):
 
     - `width`: of its soft compare, in texels; 0 for the hard one.
     - `steps`: number of solver steps.
-    - `result`: `"successful"`, `"max_steps reached"`, or what the solver reports as wrong.
+    - `result`: `"successful"`, `"max_steps reached"`, or the solver's error.
     - `gradient_norm`: of the soft mean square error with respect to the parameters over their bounds' distance; 0 for a
         search.
     - `hard_loss`: the mean square error under the hard compare at the phase's end, of whole differences; `values`: the

@@ -48,8 +48,8 @@ def fit_shape(
 
     - `phases`: in their order; λ should fall.
     - `on_step`: called after each step; the fit stops if it returns `True`.
-    - `resume`: a state of an earlier fit of the same problem and phases, to go on from there. On a CPU the result
-        has the same bits as without the interruption.
+    - `resume`: a state of an earlier fit of the same problem and phases, from which the fit continues. On a CPU the
+        result has the same bits as without the interruption.
 
     **Raises** `ValueError` for no phase, a blur too wide for an image, a light that reaches no pixel that counts, a
     start that casts no shadow in a view, or a state of another fit.

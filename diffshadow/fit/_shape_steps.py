@@ -16,17 +16,17 @@ from ..settings.fit import ShapePhase as PhaseSettings
 class ShapePhase:
     """A phase of a fit of a shape.
 
-    - `strength`: λ, how strongly the steps of neighbouring vertices are smoothed. It is counted in edges: where
-        triangles are split in four, four times as much smooths as far.
+    - `strength`: λ, how strongly the steps of neighbouring vertices are smoothed. It is counted in edges: after each
+        triangle is split in four, the same distance needs four times the strength.
     - `rate`: length of the first steps, as a fraction of the longest side of the views' shadows at the start's distance
         from the lights. It falls along half a cosine.
     - `steps`: how many.
     - `blur`: standard deviation, in pixels, of the Gaussian under which images are compared.
     - `subdivisions`: how often each triangle is split in four before the phase.
-    - `light_rate`: length of the first steps of lights that move, in degrees as the shape sees them. It falls likewise.
+    - `light_rate`: length of the first steps of lights that move, in degrees as seen from the shape. It falls likewise.
     - `normal_consistency`, `edge_length`: weights of penalties on folds and on long edges, added to the mean square
         error, for noisy images; 0 for none. Normals: the mean, over pairs of neighbouring faces, of 1 minus the cosine
-        between them. Lengths: the mean of squares, as a fraction of that at the start of the phase.
+        between them. Lengths: the mean square, as a fraction of the mean square at the start of the phase.
 
     **Raises** `ValueError` for a value that is not allowed.
     """
@@ -51,13 +51,14 @@ PHASES = tuple(ShapePhase(**phase) for phase in DEFAULT_PHASES)
 
 
 class ShapeState(NamedTuple):
-    """Where a fit stands before a step: all that it needs to go on, on a CPU to the same bits. Arrays never change.
+    """The state of a fit before a step: everything that it needs to continue, on a CPU to the same bits. Arrays never
+    change.
 
-    - `phase`, `step`: of the next step, from 0; `crossings`: for how many there is memory.
+    - `phase`, `step`: of the next step, from 0; `crossings`: the number of crossings for which there is memory.
     - `vertices`, `faces`, `free`: of the mesh at the start of the phase; `u`, `mean`, `square`: of Adam, (n, 3).
     - `best_vertices`, `best_faces`: of the best end of a phase so far, or of the start.
-    - `lights`, `light_mean`, `light_square`: the numbers of all lights' poses, and of Adam; empty if none moves;
-        `best_lights`: those of the best end of a phase.
+    - `lights`, `light_mean`, `light_square`: the numbers of all lights' poses, and of Adam; empty if no light moves.
+        `best_lights`: the poses at the best end of a phase.
     - `losses`: under the judge, of the start and of the ends of phases; `history`: (s, 2), phase and loss of each step.
     """
 
@@ -85,7 +86,7 @@ class ShapeStep(NamedTuple):
 
     - `phase`, `step`: from 0; `loss`: the mean square error before the step, under the phase's blur.
     - `images`: (h, w) of each view, its visibility before the step.
-    - `state`: from where the fit can go on after the step.
+    - `state`: the state after the step, from which the fit can continue.
     - `vertices`, `faces`: of the mesh before the step.
     """
 
@@ -101,13 +102,13 @@ class ShapeStep(NamedTuple):
 class FittedShape(NamedTuple):
     """What a fit of a shape found.
 
-    - `mesh`: the best end of a phase under the judge, or the start if that is best.
-    - `lights`: of each view, as they were then.
-    - `initial_loss`, `loss`: the judge's, before and after: the mean square error without a blur.
-    - `losses`: the judge's at the end of each phase; `chosen`: which of them is the result, -1 for the start.
+    - `mesh`: the best mesh under the judge: the end of a phase, or the start.
+    - `lights`: the light of each view, for this mesh.
+    - `initial_loss`, `loss`: the judge's mean square error, without a blur, before and after the fit.
+    - `losses`: the judge's error at the end of each phase; `chosen`: the phase that is the result, -1 for the start.
     - `history`: phase and loss of each step, under the phase's blur.
     - `initial_images`, `images`: (h, w) of each view, its visibility at the start and at the end.
-    - `state`: where the fit ended or was stopped.
+    - `state`: the state at the end of the fit, or where it was stopped.
     """
 
     mesh: Mesh

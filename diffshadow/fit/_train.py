@@ -46,9 +46,9 @@ class TrainingPhase(NamedTuple):
 class Training(NamedTuple):
     """What a training found.
 
-    - `technique`: the trained one, with the hard compare.
+    - `technique`: the trained technique, with the hard compare.
     - `initial_loss`, `loss`: its mean square error over all views under the hard compare, before and after.
-    - `phases`: how each went; `chosen`: which of them ended best, -1 if the start was best.
+    - `phases`: the result of each phase; `chosen`: the phase that ended best, -1 if the start was best.
     """
 
     technique: FittableTechnique
@@ -71,21 +71,21 @@ def train(
 
     It minimises the mean square error over all pixels that count, under a soft compare that hardens from phase to
     phase. The hard compare judges the start and the end of each phase, and the best is the result. Views whose arrays
-    have equal shapes share a compiled loop, and only one of them at a time has its derivatives in memory.
+    have equal shapes share a compiled loop. Only the derivatives of one view at a time are in memory.
 
     **Arguments:**
 
-    - `problems`: views. They start from the technique of the first.
-    - `where`: selects what is trained of a technique: a module or several, whose inexact arrays all are. Calls with
-        the same function share their compiled programs.
-    - `lower`: the least value of what is trained, minus infinity for none: a number, or a tree of numbers with the
-        structure of what `where` returns or its upper part.
-    - `solver`, `anneal`: defaults if left out. Levenberg-Marquardt and dogleg find a derivative for each number and
-        pixel, which suits some tens of numbers; the others find the loss' gradient in reverse mode.
+    - `problems`: views. Training starts from the technique of the first view.
+    - `where`: a function of a technique that returns the trained part: one module or several. All of their
+        floating-point arrays are trained. Calls with the same function share their compiled programs.
+    - `lower`: the least value of the trained numbers, minus infinity for no limit. A number, or a tree of numbers with
+        the structure of the result of `where` or of its upper part.
+    - `solver`, `anneal`: defaults if left out. Levenberg-Marquardt and dogleg compute a derivative for each number and
+        pixel, which suits some tens of numbers. The other solvers compute the loss' gradient in reverse mode.
     - `on_phase`: called after each phase. Left out, `diffshadow.setup` decides whether a line shows them.
 
-    **Raises** `ValueError` if there is no view, no pixel of one counts, nothing is selected, or a number starts below
-    its least value.
+    **Raises** `ValueError` if there is no view, no pixel of a view counts, nothing is selected, or a number starts
+    below its least value.
     """
     limit_programs()
     solver, anneal = Solver.of(solver).for_problem(False), anneal or Anneal()
@@ -119,7 +119,7 @@ def train(
 
 
 def mean_square_error(problems: Sequence[TechniqueProblem], technique: FittableTechnique) -> float:
-    """The mean square error of a technique over all pixels of several views that count, by one compiled program."""
+    """The mean square error of a technique over all counted pixels of several views, by one compiled program."""
     groups = _stacked([_plain(problem, technique) for problem in problems])
     return float(_loss(groups, technique, jnp.zeros(0), _nothing))
 

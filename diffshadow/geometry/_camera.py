@@ -119,7 +119,7 @@ class PinholeCamera(AbstractCamera):
 
 
 class OrthographicCamera(AbstractCamera):
-    """A parallel camera; `height` is the height of what it sees, in world units."""
+    """A parallel camera; `height` is the height of its view, in world units."""
 
     eye: AsVec3 = eqx.field(converter=as_number)
     target: AsVec3 = eqx.field(converter=as_number)

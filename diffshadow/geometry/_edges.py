@@ -25,10 +25,10 @@ NO_NEIGHBOUR = -1
 
 
 class Edges(eqx.Module):
-    """The edges of a mesh. Vertices at the same place count as one, whatever their indices.
+    """The edges of a mesh. Vertices at the same place count as one vertex, even if their indices differ.
 
-    - `vertices`: (e, 2), the ends, indices into the mesh's vertices; of several at one place, the first. The first
-        face traverses the edge from the first end to the second.
+    - `vertices`: (e, 2), the ends, as indices into the mesh's vertices. If several vertices are at one place, the first
+        of them. The first face traverses the edge from the first end to the second.
     - `faces`: (e, 2), the faces that meet there; the second is `NO_NEIGHBOUR` if there is only one.
     - `directions`: (e, 2), +1 if the face traverses the edge from its first end to its second, -1 if it traverses it
         backwards, 0 if there is no face. The first is always +1; the second is -1 if both faces have the same winding.
@@ -37,7 +37,7 @@ class Edges(eqx.Module):
         outside, that is, its signed volume is positive.
     - `is_closed`: whether the whole mesh is closed: every edge is traversed equally often in both directions.
 
-    An edge in which three or more faces meet has one row per face, without a second face, so that it always counts as a
+    An edge between three or more faces has one row per face, without a second face. So it always counts as a
     silhouette. Faces with two corners at one place have no edges; faces whose three corners lie on a line have edges.
     """
 
@@ -72,8 +72,8 @@ class Edges(eqx.Module):
         return cls(ends, meeting, directions, as_int(component), solid, bool(closed.all()))
 
     def renumbered(self, vertices: Int[HostArray, " v"], faces: Int[HostArray, " f"]) -> "Edges":
-        """The edges of the same mesh among others: its vertex `i` is their `vertices[i]`, and its face `i` their
-        `faces[i]`."""
+        """The edges after the mesh was merged with others: its vertex `i` is `vertices[i]` of the merged mesh, and its
+        face `i` is `faces[i]`."""
         own = np.asarray(self.faces)
         component = np.zeros(faces.max() + 1, int)
         component[faces] = self.component
@@ -85,9 +85,10 @@ class Edges(eqx.Module):
         )
 
     def padded(self, faces: int, to: int | None = None) -> "Edges":
-        """The edges of the mesh `padded` to so many faces, with further ones that are no silhouettes.
+        """The edges padded to as many rows as the mesh `padded` to so many faces needs. Added edges are never
+        silhouettes.
 
-        **Arguments:** `to`: the number of edges, no less than its own; by default the least of a few.
+        **Arguments:** `to`: the number of edges after padding; by default the next of a few sizes.
         """
         if isinstance(self.vertices, Tracer):
             return self

@@ -43,7 +43,7 @@ _MAX_SEED = 2**32 - 1
 
 
 class OptionError(ValueError):
-    """An option that is not valid for a piece of the library.
+    """An option that is not valid for a mesh of the library.
 
     - `option`: its name; `what`: what was given, what was expected, and how to mend it.
     """
@@ -265,7 +265,7 @@ LIBRARY: Mapping[str, Callable[..., Mesh]] = MappingProxyType({name: globals()[n
 
 
 def library_mesh(name: str, /, **options: Any) -> Mesh:
-    """The library's piece called `name`; `options` are the arguments of the function of that name.
+    """The library's mesh called `name`; `options` are the arguments of the function of that name.
 
     **Raises** `ValueError` if there is no such piece, and `OptionError` if it has no such option or the option's value
     is not valid.

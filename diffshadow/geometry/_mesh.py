@@ -49,10 +49,11 @@ class Mesh(eqx.Module):
     - `corner_normals`: (f, 3, 3), a unit shading normal for each corner of each face, so that creases have one per
         side. Defaults to the face normals.
     - `albedo`: (f, 3), diffuse colour in [0, 1]. Defaults to light grey; to white with `corner_colours` or `textures`.
-    - `corner_colours`: (f, 3, 3), a colour in [0, 1] for each corner of each face; or none.
-    - `textures`: of the faces; or none.
+    - `corner_colours`: (f, 3, 3), a colour in [0, 1] for each corner of each face; or `None`.
+    - `textures`: of the faces; or `None`.
 
-    The diffuse colour of a point is `albedo`, times the mean of the corners' colours there, times the texture's.
+    The diffuse colour of a point is the product of `albedo`, the interpolated colour of the corners, and the texture's
+    colour.
 
     **Raises** `ValueError` if there is no face, a vertex is not finite, a face has an index out of range, an albedo or
     a colour is out of its range, or an array has another shape or type.
@@ -142,10 +143,10 @@ class Mesh(eqx.Module):
 
         - `given`: a `trimesh.Trimesh`; a `trimesh.Scene`, whose meshes are merged with the transforms of its graph; or
             an object with `vertices` (v, 3) and triangular `faces` (f, 3). Colours of faces, vertices and materials
-            become albedo as they are. A texture of base colour needs texture coordinates (`visual.uv`); its colours
-            are sRGB, and linear here. It repeats and is bilinear, since trimesh keeps no samplers. A glTF material's
-            alpha test is obeyed.
-        - `crease_angle`: degrees; edges bent by more are shaded sharp (`crease_normals`). None for the object's own
+            become albedo without conversion. A texture of base colour needs texture coordinates (`visual.uv`). Its sRGB
+            colours are converted to linear colours. It repeats and is bilinear, since trimesh keeps no samplers. A glTF
+            material's alpha test is obeyed.
+        - `crease_angle`: degrees; edges bent by more are shaded sharp (`crease_normals`). `None` for the object's own
             `vertex_normals`.
 
         **Warns** of geometries of a scene that have no faces, such as paths, which are left out.
@@ -158,8 +159,8 @@ class Mesh(eqx.Module):
     def to_trimesh(self) -> Any:
         """A `trimesh.Trimesh` of the same vertices and faces in the same order, with the albedo as colours of faces.
 
-        Colours have 8 bits; a face whose colour varies has its mean colour. The normals are trimesh's own, since it has
-        none for corners.
+        Colours have 8 bits; a face whose colour varies has its mean colour. Normals are computed by trimesh, which
+        stores no normals for corners.
         """
         check_outside_trace("Mesh.to_trimesh", "a mesh of known numbers", "call it outside", self)
         import trimesh  # which takes long to load
@@ -192,10 +193,10 @@ class Mesh(eqx.Module):
         return as_html(f"Mesh: {counted(len(faces), 'triangle')}, {len(seen):,} vertices, {size} world units", image)
 
     def padded(self, to: tuple[int, int] | None = None) -> "Mesh":
-        """The mesh with further faces that are points, which nothing sees, so that its arrays have one of few sizes:
-        meshes of like size then share compiled programs. A traced mesh stays as it is.
+        """The mesh with added faces that are points and so invisible. Its arrays then have one of a few sizes, so that
+        meshes of similar size share compiled programs. A traced mesh stays as it is.
 
-        **Arguments:** `to`: numbers of faces and vertices, none less than its own; by default the least of these few.
+        **Arguments:** `to`: the numbers of faces and vertices after padding; by default the next of a few sizes.
         """
         count, vertices = self.faces.shape[0], self.vertices.shape[0]
         faces, size = shared_mesh_size(count, vertices) if to is None else to
@@ -218,7 +219,7 @@ class Mesh(eqx.Module):
 
     @property
     def alpha_test(self) -> Textures | None:
-        """The textures if some of them cut out their faces; none if all faces are whole."""
+        """The textures if some of them have an alpha test; `None` if all faces are whole."""
         return None if self.textures is None or self.textures.cutoff is None else self.textures
 
     @property
@@ -242,9 +243,9 @@ def meshes_of(given: Triangles | TriangleScene, crease_angle: float | int | None
 
 
 def as_mesh(given: Any, name: str = "the mesh") -> Mesh:
-    """`given` if it is a mesh, or else what `Mesh.from_trimesh` makes of it; `name` stands for it in messages.
+    """`given` if it is a mesh, or else `Mesh.from_trimesh(given)`. Messages call it `name`.
 
-    **Raises** what that raises, and `TypeError` for any other object.
+    **Raises** the errors of `Mesh.from_trimesh`, and `TypeError` for any other object.
     """
     if isinstance(given, Mesh):
         return given

@@ -35,13 +35,13 @@ def weld(
 
     - `vertices`: (v, 3), any unit.
     - `faces`: (f, 3), indices into `vertices`.
-    - `tolerance`: vertices no farther apart than this fraction of the longest side of the bounding box are merged, and
-        so are chains of such vertices; 0 merges only equal ones. If the tolerance is so large that the average vertex
-        has dozens of others within it, some of these may stay separate.
+    - `tolerance`: vertices whose distance is at most this fraction of the longest side of the bounding box are merged,
+        and chains of such vertices too; 0 merges only equal vertices. If the tolerance is so large that the average
+        vertex has dozens of others within it, some of these may stay separate.
 
-    **Returns:** vertices (w, 3), float64, faces (g, 3), int64, and (g,), which of the given faces these are. Faces that
-    lose a corner by the merge are dropped, and so are vertices that no face uses. The order is otherwise kept, and a
-    merged vertex has the position of the first.
+    **Returns:** vertices (w, 3), float64, faces (g, 3), int64, and (g,), the index of each face among the given faces.
+    Faces that lose a corner by the merge are dropped, and so are vertices that no face uses. The order is otherwise
+    kept. A merged vertex has the position of its first vertex.
 
     **Raises** `ValueError` if a vertex that a face uses is not finite, or the tolerance is negative.
     """

@@ -35,14 +35,14 @@ def _as_meshes(given: MeshLike | Iterable[Any]) -> tuple[Mesh, ...]:
 class Scene(eqx.Module):
     """Meshes, a camera and lights.
 
-    - `meshes`: all visible surfaces; one mesh or several, stored as a tuple. What has vertices and faces is taken as
-        `Mesh.from_trimesh` takes it. A `trimesh.Scene` has a mesh for each node of its graph.
-    - `camera`: where the image is drawn from. It may be left out for a `trimesh.Scene` that has one.
-    - `lights`: one light or several, stored as a tuple. They may be left out for a `trimesh.Scene` that has some: its
-        directional, point and spot lights. Their shadow maps are fitted to the meshes, and their colours, intensities
-        and ranges are ignored.
+    - `meshes`: all visible surfaces; one mesh or several, stored as a tuple. Other objects with vertices and faces are
+        converted by `Mesh.from_trimesh`. A `trimesh.Scene` has a mesh for each node of its graph.
+    - `camera`: where the image is drawn from. May be left out for a `trimesh.Scene` that has a camera.
+    - `lights`: one light or several, stored as a tuple. May be left out for a `trimesh.Scene` that has lights: its
+        directional, point and spot lights are used. Their shadow maps are fitted to the meshes, and their colours,
+        intensities and ranges are ignored.
     - `casts`: for each mesh, whether it casts a shadow; all cast if left out. A mesh that does not cast still receives
-        shadows. It blocks no ray of the ray-traced reference either, unless that asks for `blockers="all"`.
+        shadows. It also blocks no ray of the ray-traced reference, unless the reference has `blockers="all"`.
     - `receives`: for each mesh, whether engines show shadows on it; on all if left out. Other techniques show them on
         all meshes.
     - `origin`: the world point that the coordinates of meshes, camera and lights are counted from. A scene far from the
@@ -161,7 +161,7 @@ class Scene(eqx.Module):
 
     @property
     def receivers(self) -> Mesh | None:
-        """The meshes that only receive, merged; none if all cast."""
+        """The meshes that only receive, merged; `None` if all cast."""
         meshes = [mesh for mesh, casts in zip(self.meshes, self._casts, strict=True) if not casts]
         return merge(meshes) if meshes else None
 

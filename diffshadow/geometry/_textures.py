@@ -82,16 +82,15 @@ class Textures(eqx.Module):
     - `index`: (f,), which texture each face has; `NO_TEXTURE` for none.
     - `texels`: (n, 4), linear red, green, blue and alpha in [0, 1], of all textures; row 0 of each image is its bottom
         row.
-    - `table`: (t, 3), of each texture its first texel, its height and its width.
+    - `table`: (t, 3), the first texel, the height and the width of each texture.
     - `cutoff`: (t,), alpha below which each texture's faces are cut out; 0 for none. `None` if no face is cut out.
-    - `samplers`: (t, 3), how each texture is read: what it shows beyond [0, 1] along u and along v (0 the image again,
-        1 its border, 2 its mirror image every other time), and between texels (0 their bilinear mean, 1 the nearest).
-        `None` if all are zero.
-    - `corner_alpha`: (f, 3), alpha in [0, 1] of each corner of each face. Its mean at a point is multiplied by the
-        texture's alpha before that is compared with `cutoff`. `None` if all are 1.
+    - `samplers`: (t, 3), the sampler of each texture: the wrapping along u and along v (0 repeat, 1 clamp, 2 mirror),
+        and the filter between texels (0 bilinear, 1 nearest). `None` if all are zero.
+    - `corner_alpha`: (f, 3), alpha in [0, 1] of each corner of each face. The interpolated alpha of the corners is
+        multiplied by the texture's alpha, and the product is compared with `cutoff`. `None` if all are 1.
 
-    Colours and `uv` are differentiable. What an alpha test cuts out is a yes or no, and so has no derivative by texels,
-    `uv` or `cutoff`: the outlines that it cuts do not move in a fit.
+    Colours and `uv` are differentiable. The result of an alpha test is yes or no, so it has no derivative by texels,
+    `uv` or `cutoff`. Its outlines do not move in a fit.
 
     **Raises** `ValueError` if an array has another shape, a texel is out of its range, or an index or a place in the
     table is.
@@ -183,10 +182,11 @@ class Textures(eqx.Module):
 
         - `image`: (h, w, 3) or (h, w, 4), linear colours in [0, 1], with alpha or opaque; row 0 is the bottom row.
         - `uv`: (f, 3, 2), texture coordinates of the corners of faces.
-        - `cutoff`: alpha below which faces are cut out, as by `discard` in a shader; none for no alpha test.
-        - `wrap`: what lies beyond [0, 1]: `"repeat"`, `"clamp"` or `"mirror"`, or a pair of these, along u and along v.
-        - `filter`: what lies between the middles of texels: `"linear"` or `"nearest"`.
-        - `corner_alpha`: (f, 3), alpha of the corners of faces, which the alpha test multiplies by the image's.
+        - `cutoff`: alpha below which faces are cut out, as by `discard` in a shader; `None` for no alpha test.
+        - `wrap`: the wrapping beyond [0, 1]: `"repeat"`, `"clamp"` or `"mirror"`, or a pair of these, along u and along
+            v.
+        - `filter`: the filter between the centres of texels: `"linear"` or `"nearest"`.
+        - `corner_alpha`: (f, 3), alpha of the corners of faces, which the alpha test multiplies by the image's alpha.
 
         **Raises** `ValueError` for another shape, values out of range, or another word.
         """
@@ -210,7 +210,7 @@ class Textures(eqx.Module):
         return [texels[first : first + rows * columns].reshape(rows, columns, 4) for first, rows, columns in table]
 
     def each_sampler(self) -> list[Sampler]:
-        """How each texture is read; the values must be known."""
+        """The sampler of each texture; the values must be known."""
         samplers = np.zeros((self.table.shape[0], 3), int) if self.samplers is None else self.samplers
         return [Sampler.of_codes(row) for row in np.asarray(samplers)]
 
@@ -225,19 +225,19 @@ class Textures(eqx.Module):
         return self._of_faces(*(None if each is None else as_array(xp.asarray(each)[faces]) for each in self._by_face))
 
     def turned(self, where: Any = True) -> "Textures":
-        """The textures of faces whose corners go the other way round, if `where` is true."""
+        """The textures of faces with reversed corners, if `where` is true."""
         turn = lambda corners: None if corners is None else jnp.where(where, corners[:, ::-1], corners)
         return self._of_faces(turn(self.uv), self.index, turn(self.corner_alpha))
 
     def followed_by(self, other: "Textures") -> "Textures":
-        """These textures with the faces of `other` added behind their own. Both have the same texels."""
+        """These textures, followed by the textures and faces of `other`. Both have the same texels."""
         xp = array_module(self.uv, other.uv, self.index)
         pairs = zip(self._by_face, other._by_face, strict=True)
         return self._of_faces(*(None if pair[0] is None else as_array(xp.concatenate(pair)) for pair in pairs))
 
     @property
     def whole_repetitions(self) -> Float[Array, "f 1 2"]:
-        """How far each face's `uv` can be moved towards 0 by whole repetitions, so that they keep their digits."""
+        """A shift of each face's `uv` towards 0 by whole repetitions, so that `uv` keep their precision."""
         xp = array_module(self.uv, self.index)
         corner = self.uv[:, :1]
         if self.samplers is None:
@@ -266,7 +266,8 @@ class Textures(eqx.Module):
         return (self.texels.shape[0], self.table.shape[0]) == self._padded_size
 
     def padded(self, faces: int) -> "Textures":
-        """With further faces, texels and textures, none of them seen, so that arrays have one of few sizes."""
+        """The same textures with added faces, texels and textures that are never visible, so that arrays have one of a
+        few sizes."""
         size, count = self._padded_size
         more = [
             padded_to(self.uv, faces),

@@ -19,18 +19,19 @@ class View(eqx.Module):
 
     - `world_to_eye`: (4, 4), rigid; the eye looks along `-z`.
     - `eye_to_clip`: (4, 4), OpenGL clip space.
-    - `near`, `far`: distances along the view axis of window depth 0 and 1, in world units. Of several views, one for
-        all, or (l,).
+    - `near`, `far`: distances along the view axis of window depth 0 and 1, in world units. For several views, one value
+        for all, or (l,).
     - `is_perspective`: whether sizes shrink with distance.
-    - `steps`: (2,), for a parallel view: into how many steps along x and y each unit of clip space is divided. Vertices
-        are drawn at whole steps, counted from the eye's axis rather than the window's border. A window that moves by
-        whole steps then sees the same triangles to the bit. None if vertices are drawn where they are. Of several
-        views, (l, 2).
-    - `warp`: for a parallel view without steps: a perspective of its window. It changes where points lie in the window,
-        while depths stay as in the parallel view. None for no warp.
+    - `steps`: (2,), for a parallel view: the number of steps along x and y for each unit of clip space. Vertices are
+        drawn at whole steps, counted from the eye's axis rather than the window's border. A window that moves by whole
+        steps then sees the same triangles to the bit. `None` if vertices are not snapped to steps. For several views,
+        (l, 2).
+    - `warp`: for a parallel view without steps: a perspective of its window. It moves points in the window, and keeps
+        the depths of the parallel view. None for no warp.
     - `tile`: for a parallel view: the part of a virtual map that each layer shows. The projection covers the whole
-        virtual map. None if a map shows all of the window. A virtual map that is smaller than its layer ends within it.
-    - `pages`: the pages of a virtual map that the layers show; `tile` is theirs. None for a map without pages.
+        virtual map. `None` if a map shows the whole window. A virtual map that is smaller than its layer ends within
+        it.
+    - `pages`: the pages of a virtual map that the layers show; `tile` is theirs. `None` for a map without pages.
     """
 
     world_to_eye: Float[Array, "*l 4 4"]
@@ -45,7 +46,7 @@ class View(eqx.Module):
 
     @eqx.filter_jit
     def facing(self, layer: Int[Array, "*n"] | None) -> "View":
-        """For a light with several views, the view of `layer` for each point; this one if there are no layers."""
+        """For a light with several views, the view of `layer` for each point; this view if there are no layers."""
         if layer is None:
             return self
         each = lambda matrix: matrix[layer] if matrix.ndim > 2 else matrix
@@ -60,8 +61,8 @@ class View(eqx.Module):
         return resolution if self.tile is None else (self.tile.size, self.tile.size)
 
     def shown(self, resolution: tuple[int, int]) -> tuple[int | Int[Array, "*n"], int | Int[Array, "*n"]]:
-        """(height, width) in texels of what a layer shows, given its `resolution`: less than that, if the virtual map
-        ends within it."""
+        """(height, width) in texels of the used part of a layer of `resolution`: smaller than the layer if the virtual
+        map ends within it."""
         if self.tile is None:
             return resolution
         end = self.tile.size[..., None] - self.tile.origin
@@ -108,7 +109,7 @@ class View(eqx.Module):
 
     @eqx.filter_jit
     def shifted(self, texels: Float[Array, "2"], resolution: tuple[int, int]) -> "View":
-        """With its window moved, so that points lie so many `texels` further along x and y of a map of `resolution`.
+        """The view with its window moved: points move by so many `texels` along x and y of a map of `resolution`.
 
         **Raises** `ValueError` unless texels are even.
         """
@@ -156,8 +157,8 @@ class View(eqx.Module):
 
         **Arguments:**
 
-        - `texel`: where in the map, x and y in texels. Only texels of a warped view differ by it; without it, they are
-            those without the warp.
+        - `texel`: where in the map, x and y in texels. Only texels of a warped view depend on it. If left out, the
+            result is for the view without the warp.
         """
         height, width = self.whole(resolution)
         # Clip space spans 2 units over the map; the projection's diagonal is clip units per eye unit (at distance 1).
@@ -182,8 +183,9 @@ class View(eqx.Module):
     def along_axes(
         self, gradient: Float[Array, "*n 2"], texel: Float[Array, "*n 2"], resolution: tuple[int, int]
     ) -> Float[Array, "*n 2"]:
-        """Changes along the rows and columns of a map of `resolution` at `texel`, per unit of x and y, of something
-        with this `gradient` along x and y in eye space. They are the same, unless a warp makes the columns lean."""
+        """The change of a quantity along the rows and columns of a map of `resolution` at `texel`, per unit of x and y,
+        from the `gradient` of the quantity along x and y in eye space. Both are the same, unless a warp makes the
+        columns lean."""
         if self.warp is None:
             return gradient
         in_clip = self.warp.lean(texel[..., 0] * (2 / resolution[1]) - 1)

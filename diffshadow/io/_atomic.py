@@ -14,7 +14,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yields a temporary path, which is renamed to `path` when the block ends.
 
     The temporary file is in the same folder and has the same suffix; its name begins with a dot. If the block raises,
-    the temporary file is removed and `path` is left as it was. A process killed inside the block leaves the temporary
+    the temporary file is removed and `path` does not change. A process killed inside the block leaves the temporary
     file behind, but never a partial `path`.
 
     **Raises** `FileError` if the folder is missing, the block wrote nothing, `path` is a folder, or no space is left.

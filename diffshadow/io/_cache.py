@@ -135,7 +135,7 @@ def clear_cache(folder: str | os.PathLike[str]) -> None:
 
 
 def cache_size(folder: str | os.PathLike[str]) -> tuple[int, int]:
-    """How many entries `folder` holds, and how many bytes they take."""
+    """The number of entries in `folder`, and their size in bytes."""
     sizes = [size for _, size, _ in _entries(Path(folder))]
     return len(sizes), sum(sizes)
 
@@ -148,8 +148,8 @@ def programs_folder() -> Path:
 def keep_compiled_programs(folder: str | os.PathLike[str] | None = None) -> None:
     """Lets JAX keep compiled programs in `folder`, by default `programs_folder`: the next process then starts sooner.
 
-    A folder that the user set (`JAX_COMPILATION_CACHE_DIR`) is used and left as it is. Any other is pruned. Nothing is
-    kept if the folder cannot be written to.
+    A folder that the user set (`JAX_COMPILATION_CACHE_DIR`) is used, and its settings are not changed. Any other is
+    pruned. Nothing is kept if the folder cannot be written to.
     """
     if jax.config.jax_compilation_cache_dir:
         return

@@ -11,7 +11,7 @@ _SHOWN = 4
 
 
 class FileError(ValueError):
-    """A file or folder cannot be read or written, or does not hold what was expected."""
+    """A file or folder cannot be read or written, or has unexpected content."""
 
 
 class FullDiskError(FileError):
@@ -57,15 +57,15 @@ def _chain(error: BaseException | None) -> Iterator[BaseException]:
 
 
 class FileWarning(UserWarning):
-    """A file was read, but not all of it, or not as it says."""
+    """A file was read, but parts of it were left out or changed."""
 
 
 class MeshWarning(FileWarning):
-    """A mesh file holds something besides triangles, which was left out, or its coordinates are rounded."""
+    """A mesh file has parts other than triangles, which were left out, or its coordinates are rounded."""
 
 
 class ImageWarning(FileWarning):
-    """An image file says something of its pixels that is not obeyed, or holds more than was read."""
+    """An image file has metadata that was ignored, or more content than was read."""
 
 
 class MeshError(Exception):

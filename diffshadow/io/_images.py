@@ -75,15 +75,15 @@ def read_visibility(path: str | os.PathLike[str]) -> Float[HostArray, "h w"]:
     - `.npy`: an (h, w) array whose row 0 is the bottom row.
     - `.png`: grey, colour or a palette, with any number of bits, linear from 0 to 1. Colour channels are averaged, and
         alpha is ignored. Significant bits (`sBIT`) and the orientation of Exif are obeyed.
-    - `.jpg`: as `.png`, to within what its compression changes.
-    - `.exr`: the channel `Y`, the mean of `R`, `G` and `B`, or the only channel, of the first part that has these;
-        divided by alpha, as the format has it. The picture is what the display window shows; it is turned as an
-        attribute `Orientation` says.
+    - `.jpg`: as `.png`, except for compression errors.
+    - `.exr`: the channel `Y`, the mean of `R`, `G` and `B`, or the only channel, of the first part that has these
+        channels; divided by alpha, as the format demands. The picture is the content of the display window, rotated
+        according to the attribute `Orientation`.
 
     **Returns:** (h, w), float32, row 0 the bottom row.
 
-    **Warns** with `ImageWarning` about what the file says of its pixels that is not obeyed: a curve or a colour
-    profile, colours, alpha, further channels and parts, pixels that are not square.
+    **Warns** with `ImageWarning` about everything in the file that is ignored: a transfer curve or colour profile,
+    colours, alpha, further channels and parts, and the shape of pixels that are not square.
 
     **Raises** `FileError` if the file is missing, damaged or has another format, if it holds anything but one image,
     no pixels for a part of it, or values that are NaN or outside [0, 1].
@@ -99,10 +99,10 @@ def read_picture(path: str | os.PathLike[str]) -> tuple[Float[HostArray, "h w 3"
     """Reads a picture in colour from a `.npy`, `.png`, `.jpg` or `.exr` file.
 
     - `.npy`: an (h, w, 3) array, linear, whose row 0 is the bottom row.
-    - `.png`, `.jpg`: sRGB from 0 to 1, whatever the file says of its colours.
+    - `.png`, `.jpg`: sRGB from 0 to 1; colour profiles in the file are ignored.
     - `.exr`: the channels `R`, `G` and `B`, or one channel of grey, linear; otherwise as for `read_visibility`.
 
-    **Returns:** (h, w, 3), float32, as it is stored, row 0 the bottom row; and its encoding.
+    **Returns:** (h, w, 3), float32, the stored values, row 0 the bottom row; and their encoding.
 
     **Warns** with `ImageWarning` as `read_visibility` does.
 

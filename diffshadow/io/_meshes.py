@@ -59,35 +59,34 @@ def load_mesh(
 
     The objects of a file are merged into one mesh, with their nodes' transforms applied. Vertices at the same position
     are welded (files split them at texture seams). Polygons, convex or concave, are cut into triangles. Skins have the
-    pose of the file's nodes. Colours of vertices are read from PLY, GLB and glTF, and taken as linear. From the last
-    two, materials are read too: base colours, their textures and samplers, and alpha tests. Of the MTL files of an OBJ
-    file, `Kd` (linear), `map_Kd`, `map_d` and `d` are read; a `map_d` cuts out what is below 0.5. trimesh reads other
-    formats, such as 3MF, COLLADA and zip archives, without colours. It cuts polygons as fans, and some formats need a
+    pose of the file's nodes. Colours of vertices are read from PLY, GLB and glTF, and taken as linear. GLB and glTF
+    also have materials: base colours, their textures and samplers, and alpha tests. From the MTL files of an OBJ file,
+    `Kd` (linear), `map_Kd`, `map_d` and `d` are read. A `map_d` cuts out alpha below 0.5. trimesh reads other formats,
+    such as 3MF, COLLADA and zip archives, without colours. trimesh cuts polygons as fans, and some formats need a
     further package (`pip install 'diffshadow[meshes]'`).
 
     **Arguments:**
 
     - `path`: the file; its suffix names the format. Text may be in any encoding.
-    - `crease_angle`: degrees; edges bent by more are shaded sharp. None for the file's own normals, of vertices in PLY,
-        GLB and glTF.
+    - `crease_angle`: degrees; edges bent by more are shaded sharp. `None` for the file's own normals, which PLY, GLB
+        and glTF have at vertices.
 
-    - `albedo`: (3,), in [0, 1], which the file's colours and textures are multiplied by; if left out, light grey for a
-        file without these.
-    - `texture`: the file of an image, sRGB, that takes the place of all textures; the file must have texture
-        coordinates, which are read from OBJ, PLY, GLB and glTF.
-    - `alpha_cutoff`: alpha in [0, 1], of textures times that of the vertices of PLY, GLB and glTF, below which faces
-        are cut out; 0 for no alpha test; if left out, as the file says.
-    - `texture_wrap`: what textures show beyond their images: `"repeat"`, `"clamp"` or `"mirror"`, or a pair of these
-        along u and v; if left out, as the file says, or repeat.
-    - `texture_filter`: what they show between texels: `"linear"` or `"nearest"`; if left out, as the file says, or
-        linear.
+    - `albedo`: (3,), in [0, 1], multiplies the file's colours and textures; by default white, or light grey for a file
+        without colours and textures.
+    - `texture`: the file of an sRGB image, which replaces all textures. The mesh file must have texture coordinates,
+        which are read from OBJ, PLY, GLB and glTF.
+    - `alpha_cutoff`: alpha in [0, 1] below which faces are cut out. Alpha is the texture's alpha times the vertices'
+        alpha of PLY, GLB and glTF. 0 for no alpha test; by default as in the file.
+    - `texture_wrap`: the wrapping of textures beyond their images: `"repeat"`, `"clamp"` or `"mirror"`, or a pair of
+        these along u and v; if left out, as the file says, or repeat.
+    - `texture_filter`: the filter between texels: `"linear"` or `"nearest"`; if left out, as the file says, or linear.
 
     **Returns:** the mesh in the file's units and axes; use `fit_to_size` and `drop_to_ground` to place it in a scene.
     Under `jax.enable_x64` its vertices are float64, which a mesh far from the file's origin needs.
 
-    **Warns** with `MeshWarning` if the file holds anything besides triangles, such as lines, if its polygons are cut as
-    fans, or if its coordinates lie so far from their origin that single precision, in which they were stored, has
-    rounded the mesh's shape.
+    **Warns** with `MeshWarning` if the file has parts other than triangles, such as lines, if its polygons are cut as
+    fans, or if its coordinates lie so far from their origin that storing them in single precision has rounded the
+    mesh's shape.
 
     **Raises** `FileError` if the file is missing, damaged, in an unknown format or in one whose package is missing,
     requires an unsupported extension of its format, has a polygon that crosses itself, holds no triangles, or holds

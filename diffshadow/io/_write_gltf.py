@@ -49,28 +49,28 @@ _CENTRED = 1e-6
 
 
 def write_gltf(path: str | os.PathLike[str], scene: Scene, *, extras: Mapping[str, Any] | None = None) -> None:
-    """Writes a scene as glTF 2.0, such as a fitted one for another renderer.
+    """Writes a scene, such as a fitted scene, as glTF 2.0 for other renderers.
 
-    Meshes have the normals of their corners and their albedo: one colour as the material's; several, and colours of
-    corners, as colours of vertices (`COLOR_0`, linear). Textures are PNG images within the file, with 8 bits, and their
-    samplers. Faces with different ones are primitives of their own, and alpha tests are materials of mode MASK, with
-    the corners' alpha in `COLOR_0`. Vertices are repeated
-    where corners have other normals, colours or texture coordinates. Cameras are perspective or orthographic. A
-    directional, point or spot light is one of KHR_lights_punctual with the intensity 1. A rectangle light is a point
-    light there, and a light of matrices a directional or a spot light. The `extras` of the nodes of cameras and lights
-    have all of their fields under `diffshadow`, such as near and far of a shadow map, and the `extras` of meshes say
-    whether they cast and receive shadows. `read_scene` and `diffshadow import` read meshes, cameras and lights back.
+    Meshes have the normals of their corners and their albedo. A single colour is written as the material's colour;
+    several colours, and colours of corners, are written as colours of vertices (`COLOR_0`, linear). Textures are PNG
+    images within the file, with 8 bits, and their samplers. Faces with different materials become separate primitives.
+    Alpha tests become materials of mode MASK, with the corners' alpha in `COLOR_0`. A vertex is repeated if its corners
+    differ in normal, colour or texture coordinates. Cameras are perspective or orthographic. A directional, point or
+    spot light becomes a light of KHR_lights_punctual with intensity 1. A rectangle light becomes a point light, and a
+    light of matrices becomes a directional or a spot light. The `extras` of the nodes of cameras and lights have all of
+    their fields under `diffshadow`, such as near and far of a shadow map, and the `extras` of meshes say whether they
+    cast and receive shadows. `read_scene` and `diffshadow import` read meshes, cameras and lights back.
 
     **Arguments:**
 
     - `path`: `.glb` for one binary file; `.gltf` for JSON, with the arrays inside.
-    - `scene`: with known values. A scene with an origin is written where it stands in the world.
+    - `scene`: with known values. A scene with an origin is written in world coordinates.
     - `extras`: numbers and texts, lists and dictionaries of these, for the `extras` of the file's scene, such as
         `FitResult.fitted`.
 
     **Raises** `FileError` if the file cannot be written or its name ends otherwise; `ValueError` for values that are
-    traced by JAX, a camera whose projection is off-centre, and `extras` that JSON cannot hold; and `TypeError` for what
-    is no scene.
+    traced by JAX, a camera whose projection is off-centre, and `extras` that JSON cannot hold; and `TypeError` for an
+    object that is not a scene.
     """
     check_instance("what to write", scene, Scene, "a Scene")
     suffix = Path(path).suffix.lower()

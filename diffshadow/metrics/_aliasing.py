@@ -10,7 +10,7 @@ from ._inputs import check_on_host
 
 @dataclasses.dataclass(frozen=True)
 class AliasingFigures:
-    """Figures of how large a shadow map's texels are on the screen.
+    """Figures of the size of a shadow map's texels on the screen.
 
     - `worst`: the greatest extent, in pixels; `percentile_99`: the extent that 1 % of the pixels exceed.
     - `mean_log2`: the mean of the extents' logarithms to base 2; 0 if texels are as large as pixels on average.

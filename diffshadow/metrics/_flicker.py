@@ -11,13 +11,14 @@ def flicker(visibility: ArrayLike, reference: ArrayLike, mask: ArrayLike | None 
 
         flicker² = mean over frames and pixels of ((v[t+1] - r[t+1]) - (v[t] - r[t]))²
 
-    Shadows that move as the reference's do not count, and neither does an error that stays as it is. What counts is the
-    crawl of jagged edges and of acne, which eyes see better than a constant error.
+    A shadow that moves in the same way as in the reference does not count, and a constant error does not count. Flicker
+    measures the crawling of jagged edges and of acne, which is more visible than a constant error.
 
     **Arguments:**
 
     - `visibility`, `reference`: (n, h, w), in [0, 1], of at least two frames.
-    - `mask`: (n, h, w), the pixels that count; all of them by default. A pixel counts where it does in both frames.
+    - `mask`: (n, h, w), the pixels that count; all of them by default. A pixel counts in a pair of frames if it counts
+        in both.
 
     **Raises** `ValueError` if there are fewer than two frames, shapes differ, two frames have no pixel in common, or a
     value in the mask is not finite.

@@ -18,8 +18,8 @@ def flip(
     **Arguments:**
 
     - `picture`, `reference`: (h, w, 3), in sRGB (not linear), in [0, 1].
-    - `mask`: (h, w), the pixels that count; all of them by default. Elsewhere the picture is taken to equal the
-      reference, so that what it holds there has no effect.
+    - `mask`: (h, w), the pixels that count; all of them by default. Outside of the mask, the picture is replaced by the
+        reference, so its values there have no effect.
 
     **Returns:** the arithmetic mean over the mask, and the error of each pixel, (h, w), 0 outside the mask. Both are in
     [0, 1], and 0 for equal pictures.

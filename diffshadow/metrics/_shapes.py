@@ -17,9 +17,10 @@ _SAMPLES, _QUERIES = 600_000, 20_000
 
 
 def intersection_over_union(image: ArrayLike, reference: ArrayLike) -> float:
-    """The area that is dark in both images over the area that is dark in one: 1 for equal shadows, 0 for disjoint ones.
+    """The area that is dark in both images divided by the area that is dark in at least one: 1 for equal shadows, 0 for
+    disjoint ones.
 
-    A pixel is dark if its visibility is below 0.5. 1 if no pixel is.
+    A pixel is dark if its visibility is below 0.5. 1 if no pixel is dark.
     """
     check_on_host(image, reference)
     dark, other = np.asarray(image) < 0.5, np.asarray(reference) < 0.5
@@ -30,13 +31,13 @@ def intersection_over_union(image: ArrayLike, reference: ArrayLike) -> float:
 def chamfer_distance(first: Triangles, second: Triangles, *, samples: int = _SAMPLES, seed: int = 0) -> float:
     """The mean distance from points of either surface to the nearest point of the other, in world units.
 
-    Both surfaces are sampled, uniformly over their areas. The distance of equal surfaces is that between samples: 0.1 %
-    of the size or less with the default number.
+    Both surfaces are sampled, uniformly over their areas. For equal surfaces, the result is the distance between
+    samples: 0.1 % of the size or less with the default number.
 
     **Arguments:**
 
     - `first`, `second`: vertices (v, 3) and faces (f, 3).
-    - `samples`: points on each surface; 20,000 of them look for the nearest.
+    - `samples`: points on each surface; for 20,000 of them, the nearest point is searched.
     - `seed`: of the points.
     """
     check_on_host(first, second)
@@ -60,7 +61,8 @@ def _sampled(
 
 
 def count_self_intersections(vertices: ArrayLike, faces: ArrayLike) -> int:
-    """The number of pairs of faces without a common vertex that intersect; 0 for a surface that does not.
+    """The number of intersecting pairs of faces without a common vertex; 0 for a surface that does not intersect
+    itself.
 
     Two faces intersect if a side of one passes through the other. Faces that only touch, or overlap in one plane, do
     not count.

@@ -41,11 +41,11 @@ _LEAST = 1024, 256
 
 
 class AntialiasPlan(eqx.Module):
-    """What `draw_antialiased` must know of a mesh and a view before it draws inside `jax.jit`.
+    """What `draw_antialiased` needs inside `jax.jit`: the edges of the mesh, and sizes of arrays.
 
     - `edges`: the mesh's; `creases`: (n,), which of these are creases.
-    - `pieces`: for how many pieces of edges within pixels there is memory; `crossings`: for how many pixels in which
-        two parts of the mesh cross each other.
+    - `pieces`: the number of pieces of edges within pixels for which there is memory; `crossings`: the number of pixels
+        where two parts of the mesh cross, for which there is memory.
     """
 
     edges: Edges
@@ -55,14 +55,17 @@ class AntialiasPlan(eqx.Module):
 
 
 class AntialiasedSurface(eqx.Module):
-    """A surface, and what is seen on both sides of the lines along which its colours jump.
+    """A surface, and the surfaces on both sides of all lines where its colours jump.
 
-    - `surface`: (h + k, w): the pixels' centres, and then k rows of further points. What is computed for each of its
-        pixels, such as visibility and colours, is an image of that size; `resolve` makes a picture (h, w) of it.
-    - `pixel`: (n,), the pixel that each boundary is in, row · width + column; h · w for none.
-    - `area`: (n,), how much of the pixel's mean it moves from its left colour to its right one. It may be negative.
-    - `nearness`: (n,), how much of the centre's colour its left one replaces, near the outline of what the centre sees.
-    - `overflow`: whether there were more pieces than planned, so that the picture is wrong; none if that is an error.
+    - `surface`: (h + k, w): the pixels' centres, and then k rows of added points. Visibility, colours and other values
+        for each of its pixels are images of that size. `resolve` turns such an image into a picture (h, w).
+    - `pixel`: (n,), the pixel of each boundary, row · width + column; h · w for no pixel.
+    - `area`: (n,), the fraction of the pixel's mean that moves from the left colour to the right colour. It may be
+        negative.
+    - `nearness`: (n,), the fraction of the centre's colour that the left colour replaces, near the outline of the
+        surface that the centre sees.
+    - `overflow`: whether there were more pieces than planned, so that the picture is wrong; `None` if this raises an
+        error.
     """
 
     surface: Surface
@@ -78,9 +81,10 @@ class AntialiasedSurface(eqx.Module):
         return jax.tree.map(lambda values: values[: self.resolution[0]], self.surface)
 
     def extend(self, image: Float[Array, "h w *c"]) -> Float[Array, "H w *c"]:
-        """An image known at pixel centres only, at all points of `surface`.
+        """Extends an image from pixel centres to all points of `surface`.
 
-        Each further point takes the value of that of the nine pixels around it whose surface is nearest in the world.
+        Each added point takes the value of one of the nine pixels around it: the one whose surface is nearest in the
+        world.
         """
         height, width = self.resolution
         pixel = jnp.tile(jnp.minimum(self.pixel, height * width - 1), 2)
@@ -107,14 +111,14 @@ class AntialiasedSurface(eqx.Module):
         return jnp.concatenate([image, filled.reshape(rest, width, *image.shape[2:])])
 
     def with_points_within(self, camera: AbstractCamera, count: int) -> Surface:
-        """`surface`, and above it so many points within each pixel (see `points_within_pixels`), from which
-        `mean_within` makes a mean."""
+        """`surface`, followed by so many points within each pixel (see `points_within_pixels`), which `mean_within`
+        averages."""
         within = points_within_pixels(self.centres, camera, count).surface
         return jax.tree.map(lambda *parts: jnp.concatenate(parts), self.surface, within)
 
     def mean_within(self, values: Float[Array, "y w"], count: int) -> Float[Array, "H w"]:
-        """Values at the points of `with_points_within`, as values for all points of `surface`: at a pixel's centre, the
-        mean over the pixel, unless it has an outline or a crease."""
+        """Converts values at the points of `with_points_within` to values at all points of `surface`. The value at a
+        pixel's centre is the mean over the pixel, unless the pixel has an outline or a crease."""
         height, width = self.resolution
         own, within = jnp.split(values, [values.shape[0] - count * height])
         mean = jnp.mean(within.reshape(count, height, width), axis=0)
@@ -124,9 +128,9 @@ class AntialiasedSurface(eqx.Module):
     def resolve(self, image: Float[Array, "H w *c"]) -> Float[Array, "h w *c"]:
         """The mean over each pixel of an image with values for all points of `surface`.
 
-        A smooth surface is seen edge-on at its outline, and its colour changes fast there. A centre on that surface and
-        close to its outline stands for little of the pixel. The colour farther inside, on the outline's left, replaces
-        it.
+        A smooth surface is seen edge-on at its outline, and its colour changes fast there. A pixel centre on such a
+        surface, close to the outline, is not typical of the pixel. So the colour farther inside, on the left of the
+        outline, replaces the colour of the centre.
         """
         height, width = self.resolution
         centres, others = image[:height], image[height:]
@@ -141,9 +145,9 @@ class AntialiasedSurface(eqx.Module):
 def plan_antialiasing(
     mesh: MeshLike, camera: AbstractCamera, *, cull: Cull = maps.ShadowMap.cull, margin: float = 1.5
 ) -> AntialiasPlan:
-    """The plan with which `draw_antialiased` draws this mesh and view, and others of like outlines.
+    """The plan with which `draw_antialiased` draws this mesh and view, and others with similar outlines.
 
-    **Arguments:** `margin`: for how many times as many pieces as these there is memory, at least.
+    **Arguments:** `margin`: the memory, as a multiple of the memory that this mesh and view need.
 
     **Raises** `ValueError` under a trace.
     """
@@ -223,14 +227,14 @@ def draw_antialiased(
 ) -> AntialiasedSurface:
     """The surface of `mesh` that `camera` sees at pixel centres and on both sides of outlines and creases.
 
-    The outlines that an alpha test cuts are no edges: they have stairs, and no derivative.
+    The outlines of an alpha test are not edges: they are jagged, and have no derivative.
 
     **Arguments:**
 
     - `plan`: from `plan_antialiasing`; required under a trace.
     - `cull`: as for `rasterize`.
-    - `raises`: whether more pieces than planned are an error. Otherwise `overflow` says whether there are more: throw
-        such a surface away, and draw again with a larger plan.
+    - `raises`: whether more pieces than planned are an error. Otherwise `overflow` says whether there are more pieces.
+        If so, draw again with a larger plan.
 
     **Raises** `ValueError` without a plan under a trace, and a runtime error if there are more pieces than planned.
 

@@ -46,10 +46,10 @@ def count_fragments(
 
     - `clip`: (v, 4), vertices in OpenGL clip space; `w` may have either sign, or be 0 for a vertex at infinity.
     - `faces`: (f, 3), indices into `clip`; anticlockwise in the window is a front face.
-    - `weights`: (f,), how often each face counts; a face of weight 0 costs next to nothing.
-    - `depth`: (h, w), window depth, from `rasterize`. The sum is for its resolution.
-    - `when`: which fragments count: `"pass"` for fragments nearer than `depth`, `"fail"` for all others.
-        What lies before the near plane is clipped away in either case.
+    - `weights`: (f,), the weight of each face; a face of weight 0 takes almost no time.
+    - `depth`: (h, w), window depth, from `rasterize`. The sums have its resolution.
+    - `when`: which fragments count: `"pass"` for fragments nearer than `depth`, `"fail"` for all others. Geometry in
+        front of the near plane is clipped in both cases.
 
     **Raises** `ValueError` if `when` is neither.
     """

@@ -13,11 +13,11 @@ _STEPS = {"unorm24": (1 << 24) - 1, "unorm16": (1 << 16) - 1}
 
 
 class DepthTest(NamedTuple):
-    """A depth buffer's format and comparison. It is cleared to depth 1, and fragments must pass against that too.
+    """A depth buffer's format and comparison. The buffer is cleared to depth 1, and fragments must also pass the
+    comparison with this value.
 
     - `format`: `"float32"`, or `"unorm24"` and `"unorm16"`, which round to the nearest step (ties to even).
-    - `compare`: `"less"`, with which the first of several equal depths is seen, or `"less_equal"`, with which the last
-        is seen.
+    - `compare`: `"less"`, which keeps the first of several equal depths, or `"less_equal"`, which keeps the last.
 
     `rasterize` **raises** `ValueError` for anything else.
     """
@@ -35,7 +35,8 @@ class DepthTest(NamedTuple):
         return depth if self.format == "float32" else jnp.round(depth * _STEPS[self.format])
 
     def decode(self, stored: Float[Array, "*n"]) -> Float[Array, "*n"]:
-        """Window depth as it is read back from the buffer: the depth, or the number of steps divided by their count.
+        """Window depth as read back from the buffer: the float depth, or the integer depth divided by its greatest
+        value.
 
         The quotient is rounded correctly, so `encode(decode(u)) == u` for every step `u`.
         """

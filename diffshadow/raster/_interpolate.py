@@ -96,7 +96,7 @@ def _at_pixels(values: Array, face: FaceMap) -> Array:
 class Barycentrics(eqx.Module):
     """Where on its face each pixel's centre lies.
 
-    - `face`: (h, w), the face, 0 where there is none; `mask`: (h, w), whether there is one.
+    - `face`: (h, w), the face, 0 where there is no face; `mask`: (h, w), whether there is a face.
     - `weights`: (h, w, 3), perspective-correct barycentric coordinates, which sum to 1.
     """
 
@@ -113,7 +113,7 @@ def barycentrics(face: FaceMap, clip: ClipVertices, faces: Faces, rows: Rows | N
     - `face`: (h, w), from `rasterize`.
     - `clip`: (v, 4), clip coordinates, differentiable.
     - `faces`: (f, 3), indices into `clip`.
-    - `rows`: which rows of the image `face` holds; all of them if left out.
+    - `rows`: the rows of the image that `face` has; by default all.
     """
     return barycentrics_at(face, corner_values(clip, faces, face.size), rows or Rows(0, face.shape[0]))
 
@@ -197,13 +197,13 @@ def visible_depth(
 ) -> Float[Array, "*l h w"]:
     """Window depth of the faces that the pixels see, (h, w); 1 where nothing is seen.
 
-    It equals `interpolate_depth` with the `barycentrics` of the same clip coordinates, and takes less time to
-    differentiate: depth is linear in the window, so the derivative at a pixel follows from three of its face. A pixel
-    whose centre was pulled back onto its face has the derivative of the face's middle.
+    The result equals `interpolate_depth` with the `barycentrics` of the same clip coordinates, and takes less time to
+    differentiate. Depth is linear in the window, so the derivative at a pixel follows from three numbers of its face. A
+    pixel whose centre was pulled back onto its face has the derivative of the face's middle.
 
     **Arguments:** as for `barycentrics`, and
 
-    - `tile`: of face maps (l, h, w), or one, of square tiles of a virtual image, which part each is.
+    - `tile`: for face maps (l, h, w) that are square tiles of a virtual image, the place of each tile.
     """
     if tile is not None:
         flat, tiles = face.reshape(-1, face.shape[-1]), Tile(tile.origin.reshape(-1, 2), tile.size.reshape(-1))

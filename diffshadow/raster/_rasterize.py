@@ -34,10 +34,10 @@ NO_FACE = -1
 class Fragments(eqx.Module):
     """What each pixel sees; row 0 is the bottom row. Neither field carries a gradient: `interpolate` does.
 
-    - `face`: (h, w), index of the nearest face, `NO_FACE` where there is none.
-    - `depth`: (h, w), its window depth as the depth buffer stores it; 1 where there is none.
+    - `face`: (h, w), index of the nearest face, `NO_FACE` where there is no face.
+    - `depth`: (h, w), its window depth as the depth buffer stores it; 1 where there is no face.
 
-    Of several views, (b, h, w).
+    For several views, (b, h, w).
     """
 
     face: Int[Array, "*b h w"]
@@ -74,7 +74,7 @@ def rasterize(
 ) -> Fragments:
     """The nearest face at every pixel centre, by OpenGL's rules.
 
-    Triangles snap to 1/256 pixel, shared edges are covered exactly once, and what lies before the near plane or
+    Triangles snap to 1/256 pixel, shared edges are covered exactly once, and geometry in front of the near plane or
     beyond the far plane is cut away.
 
     **Arguments:**
@@ -83,17 +83,18 @@ def rasterize(
         views are drawn one after the other, and every result has that axis too.
     - `faces`: (f, 3), indices into `clip`; anticlockwise in the window is a front face.
     - `resolution`: (height, width) in pixels, each at most 8192.
-    - `cull`: which faces are left out.
+    - `cull`: the faces that are not drawn.
     - `depth_test`: format and comparison of the depth buffer; float32 and `"less"` if left out.
-    - `polygon_offset`: (factor, units) of OpenGL's polygon offset, or none.
-    - `behind`: (h, w), a face map: at each pixel its face is passed over. Given the result of a first call, the
+    - `polygon_offset`: (factor, units) of OpenGL's polygon offset, or `None`.
+    - `behind`: (h, w), a face map: at each pixel, this face is skipped. Given the result of a first call, the
         second-nearest layer is drawn.
-    - `pages`: draws these pages of a virtual map instead of an image, each into a layer of its own: results are
-        (l, h, w). `clip` is one view, of the virtual map, and `resolution` is a layer's.
-    - `viewports`: (b, 2), for several views: (height, width) in pixels of the lower left part of its image that each is
-        drawn into. Pixels beyond see nothing.
+    - `pages`: draws these pages of a virtual map instead of an image, each into a layer of its own: results are (l, h,
+        w). `clip` is one view, of the virtual map, and `resolution` is the size of a layer.
+    - `viewports`: (b, 2), for several views: (height, width) in pixels of the lower left part of the image into which
+        each view is drawn. Pixels beyond see nothing.
     - `buffer`: (height, width) in pixels, at least `resolution`: draws into a part of an image of this size. Outside of
-        a trace, drawings with one buffer share what is compiled; under a trace, and with pages, it is ignored.
+        a trace, drawings with the same buffer share compiled programs. Under a trace, and with pages, `buffer` is
+        ignored.
     - `alpha_test`: `Mesh.alpha_test`: textures of the faces, whose cutoffs cut out pixels, as by `discard`.
 
     **Raises** `ValueError` for a resolution, buffer or depth test out of range.

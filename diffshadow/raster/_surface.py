@@ -42,7 +42,7 @@ class Surface(eqx.Module):
     - `albedo`: (h, w, 3).
     - `face`: (h, w), the face seen, -1 where there is none.
     - `mask`: (h, w), whether a face is seen.
-    - `from_behind`: (h, w), whether it is seen from behind, so that `normal` is turned; none if nothing is.
+    - `from_behind`: (h, w), whether the pixel sees a back face, whose `normal` is flipped; `None` if no pixel does.
     """
 
     position: VectorMap
@@ -78,7 +78,8 @@ def draw_surface(
     buffer: Resolution | None = None,
     subpixels: int | None = None,
 ) -> Surface:
-    """The surface of `mesh` that `camera` sees at its pixel centres, differentiable but for which face is seen.
+    """The surface of `mesh` that `camera` sees at its pixel centres. Everything is differentiable except the choice of
+    the visible face.
 
     **Arguments:**
 

@@ -24,7 +24,7 @@ _GOLDEN = (1 + 5**0.5) / 2
 class PixelPoints(eqx.Module):
     """Several points within each pixel of an image, from `points_within_pixels`.
 
-    - `surface`: (count · h, w), what is seen at them: an image (h, w) for each point, one above the other.
+    - `surface`: (count · h, w), the surface at the points: an image (h, w) for each point, stacked vertically.
     - `count`: of the points within a pixel.
     """
 
@@ -37,13 +37,13 @@ class PixelPoints(eqx.Module):
 
 
 def points_within_pixels(surface: Surface, camera: AbstractCamera, count: int) -> PixelPoints:
-    """So many points in each pixel of `surface` (h, w), on the plane of the surface that the pixel's centre sees: a
-    Fibonacci lattice, if `count` is a Fibonacci number.
+    """Places `count` points in each pixel of `surface` (h, w), on the plane of the surface that the pixel's centre
+    sees. If `count` is a Fibonacci number, the points form a Fibonacci lattice.
 
-    A shadow's outline may be narrower than a pixel. At centres alone few pixels see it, so that their mean and its
-    derivative by where the outline is are far off. No two points lie in one row or column of such a lattice, so that it
-    sees narrow lines along these as often as others. Normals and colours are those of the pixel's centre. So are points
-    of planes that the camera sees nearly edge-on. Positions are differentiable.
+    A shadow's outline may be narrower than a pixel. Then few pixel centres lie in the outline, so the mean over the
+    centres, and its derivative by the outline's position, are far off. No two points of such a lattice share a row or a
+    column, so narrow lines along rows and columns are sampled as well as others. All points have the normal and colour
+    of the pixel's centre. So are points of planes that the camera sees nearly edge-on. Positions are differentiable.
 
     **Arguments:**
 

@@ -47,9 +47,9 @@ def key_parts(
 
     Equal keys mean equal references. The key leaves out what has no effect on visibility: shading normals, albedo,
     colours of corners and textures, a spot light's inner angle, and samples, sampler and seed for a light without size.
-    Of textures with an alpha test, it has alpha, cutoffs, samplers and texture coordinates.
+    For textures with an alpha test, it includes alpha, cutoffs, samplers and texture coordinates.
 
-    **Arguments:** `scene`: or its `KeyedScene`, which saves time for many keys. The others are as for
+    **Arguments:** `scene`: a scene, or its `KeyedScene`, which saves time for many keys. The others are as for
     `trace_visibility`.
 
     **Raises** `ValueError` as `trace_visibility` does for several lights, `samples`, `sampler` and `supersampling`.

@@ -19,11 +19,11 @@ class Reference:
     - `normal`: (h, w, 3), geometric unit normal, facing the camera; 0 where there is no surface.
     - `face`: (h, w), index into the mesh's faces; -1 where there is no surface.
     - `samples`: shadow rays per pixel, summed over its camera rays; 0 if the visibility was given, not traced.
-    - `standard_error`: (h, w), estimated standard error of `visibility`. It is half the difference between the two
-      halves of a pixel's samples. Since that is a single draw, use its mean square over a region, not single pixels.
-      The estimate is unbiased for stratified samples and up to 1.7 times too high for Sobol samples, whose halves
-      complement each other. It is 0 for a light without size, whose visibility is exact, and for a given visibility,
-      whose error is unknown. It is 0.5, the maximum, for a single sample of a light with size.
+    - `standard_error`: (h, w), estimated standard error of `visibility`. It is half the difference between the means of
+      two halves of a pixel's samples. Since that is a single draw, use its mean square over a region, not single
+      pixels. The estimate is unbiased for stratified samples and up to 1.7 times too high for Sobol samples, whose
+      halves complement each other. It is 0 for a light without size, whose visibility is exact, and for a given
+      visibility, whose error is unknown. It is 0.5, the maximum, for a single sample of a light with size.
 
     Row 0 is the image's bottom row.
     """

@@ -43,9 +43,9 @@ def trace_visibility(
 
     A ray through each pixel's centre finds the surface between the camera's near and far distances. Shadow rays from
     there to points of the light find which of these are occluded. Every surface is two-sided, but receives light only
-    on the side that faces the camera: parts of the light below that side's horizon count as occluded. A mesh that does
-    not cast is seen, but blocks no shadow ray, as in engines: a lamp may stand inside its own bulb. All rays pass
-    through what an alpha test cuts out. A light's cone, near and far are ignored, since they are settings of a shadow
+    on the side that faces the camera: parts of the light below that side's horizon count as occluded. As in engines, a
+    mesh that does not cast is visible but blocks no shadow ray. So a lamp may be inside its own bulb. All rays pass
+    through the holes of an alpha test. A light's cone, near and far are ignored, since they are settings of a shadow
     map.
 
     **Arguments:**
@@ -58,8 +58,8 @@ def trace_visibility(
         `diffshadow.setup` decides whether a line shows it.
     - `supersampling`: camera rays along each side of a pixel, 1 to 8; 4 gives a 4 x 4 grid. Visibility is then the mean
       over the camera rays that hit a surface, which antialiases outlines. The shadow rays are divided among the camera
-      rays, with at least one each. `position`, `normal` and `face` remain those at pixel centres.
-    - `blockers`: what blocks shadow rays: `"casters"`, or `"all"` meshes, whatever the scene's `casts` says.
+      rays, with at least one each. `position`, `normal` and `face` still belong to pixel centres.
+    - `blockers`: what blocks shadow rays: `"casters"`, or `"all"` meshes, including meshes that do not cast.
 
     **Returns:** a `Reference`.
 

@@ -1,6 +1,6 @@
 """Settings: each default, limit, unit, choice and meaning, stated once.
 
-A class of settings describes what can be set of one technique, filter, light or solver. Its annotations are types with
+A class of settings describes the settings of one technique, filter, light or solver. Its annotations are types with
 marks, and its values are the defaults:
 
     class Tent(Filter):

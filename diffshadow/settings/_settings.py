@@ -97,7 +97,7 @@ class Fitted:
 
 @dataclass(frozen=True)
 class At:
-    """Dotted paths of a setting in its module, where they are not its own name; none if no field holds it."""
+    """Dotted paths of a setting in its module, if they differ from its name; `At()` if the module has no such field."""
 
     paths: tuple[str, ...]
 
@@ -126,9 +126,9 @@ class InputFile:
 
 @dataclass(frozen=True)
 class Setting:
-    """A value that can be set.
+    """One setting: its type, default, limits, unit and meaning.
 
-    - `kind`: its bare type; `marks`: limits, its unit and so on. Plain text among the marks is its meaning.
+    - `kind`: its type without marks; `marks`: limits, its unit and so on. Plain text among the marks is its meaning.
     - `default`: `MISSING` if it must be given.
     - `optional`: whether `None` is allowed.
     """
@@ -161,7 +161,7 @@ class Setting:
 
     @property
     def form(self) -> Form | None:
-        """How to write it, where that needs words."""
+        """The form of its value in words, if the type does not say enough; otherwise `None`."""
         return next((mark for mark in self.marks if isinstance(mark, Form)), None)
 
     @property
@@ -190,7 +190,7 @@ class Setting:
         return Setting.of(kinds[0] if kinds[-1] is Ellipsis else kinds[index])
 
     def paths(self, key: str) -> tuple[str, ...]:
-        """Where the setting `key` stands in its module. The word that selects a class stands nowhere."""
+        """The path of the setting `key` in its module. The `type` that selects a class has no path."""
         return next((mark.paths for mark in self.marks if isinstance(mark, At)), () if key == "type" else (key,))
 
     def expected(self, unit: str | None = None) -> str:
@@ -206,7 +206,8 @@ class Setting:
 
 
 class Settings:
-    """What can be set of one thing. Each annotation is a type with marks, and each value a default.
+    """The settings of one technique, filter, light or solver. Each annotation is a type with marks, and each value a
+    default.
 
     `ascending` names pairs of keys. The first must be less than the second, or at most equal to it if the pair
     ends in `True`.

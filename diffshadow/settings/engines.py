@@ -115,7 +115,7 @@ class ThreeJs(Engine):
     radius: Annotated[Texels, Fitted(), "light.shadow.radius: of the filter; without effect in BasicShadowMap"] = 1.0
     intensity: Annotated[Fraction, "light.shadow.intensity"] = 1.0
     blur_samples: Annotated[int, Limits(1, 256), "light.shadow.blurSamples, in VSMShadowMap"] = 8
-    side: Annotated[_Sides, "material.side of all meshes, or of each"] = "front"
+    side: Annotated[_Sides, "material.side, for all meshes or for each"] = "front"
     shadow_side: Annotated[
         _ShadowSides | None,
         "material.shadowSide of all meshes, or of each; default, and null in a list: the other side, in VSMShadowMap "
@@ -158,7 +158,9 @@ class BabylonJs(Engine):
         Fitted(),
         "depthScale: steepness of exponential maps",
     ] = 50.0
-    frustum_edge_falloff: Annotated[Fraction, "frustumEdgeFalloff: width of the border in which shadows fade out"] = 0.0
+    frustum_edge_falloff: Annotated[Fraction, "frustumEdgeFalloff: width of the border over which shadows fade out"] = (
+        0.0
+    )
     contact_hardening_light_size_uv_ratio: Annotated[
         Fraction, Fitted(), "contactHardeningLightSizeUVRatio: radius of PCSS over the map's width"
     ] = 0.1
@@ -169,7 +171,7 @@ class BabylonJs(Engine):
     back_face_culling: Annotated[
         bool | tuple[bool, ...],
         Form("true or false, or a list with one of them for each mesh"),
-        "material.backFaceCulling of all meshes, or of each",
+        "material.backFaceCulling, for all meshes or for each",
     ] = True
     float_maps: Annotated[bool, "usefullFloatFirst: floats rather than half floats in the map"] = False
 
@@ -192,7 +194,7 @@ class PlayCanvas(Engine):
     shadow_bias: Annotated[
         Fraction,
         Fitted(),
-        "shadowBias: ten times as many depth steps of casters, or a hundredth of it of a point light's range",
+        "shadowBias: a tenth of the casters' polygon offset, or hundredths of a point light's range",
     ] = 0.05
     normal_offset_bias: Annotated[
         Fraction, Unit("world units"), Fitted(), "normalOffsetBias: shift of receivers along their normals"
@@ -205,7 +207,7 @@ class PlayCanvas(Engine):
     cascade_distribution: Annotated[
         Fraction, "cascadeDistribution: from ends of cascades at equal parts to ends at equal ratios"
     ] = 0.5
-    side: Annotated[_Sides, "faces that material.cull leaves, of all meshes, or of each"] = "front"
+    side: Annotated[_Sides, "faces that material.cull keeps, for all meshes or for each"] = "front"
 
 
 _Distance = Annotated[float, Limits(0, FARTHEST, above_low=True), Unit("world units")]
@@ -243,7 +245,7 @@ class Bevy(Engine):
         float, Limits(0, 1, below_high=True), "overlap_proportion: the share in which a cascade fades into the next"
     ] = 0.2
     shadow_map_near_z: Annotated[_Distance, "shadow_map_near_z: near plane of a spot light"] = 0.1
-    side: Annotated[_Sides, "faces that cull_mode of the material leaves, of all meshes, or of each"] = "front"
+    side: Annotated[_Sides, "faces that cull_mode of the material keeps, for all meshes or for each"] = "front"
 
 
 class GodotCompatibility(Engine):
@@ -270,9 +272,12 @@ class GodotCompatibility(Engine):
     directional_shadow_mode: Annotated[GodotMode, "directional_shadow_mode"] = "SHADOW_PARALLEL_4_SPLITS"
     directional_shadow_max_distance: Annotated[_Distance, "directional_shadow_max_distance"] = 100.0
     directional_shadow_pancake_size: Annotated[
-        float, Limits(0, FARTHEST), Unit("world units"), "directional_shadow_pancake_size: room before what is seen"
+        float,
+        Limits(0, FARTHEST),
+        Unit("world units"),
+        "directional_shadow_pancake_size: depth of the space for casters in front of the view",
     ] = 20.0
     directional_shadow_fade_start: Annotated[
         Fraction, "directional_shadow_fade_start: share of the distance where shadows begin to fade out"
     ] = 0.8
-    side: Annotated[_Sides, "faces that the material's cull mode leaves, of all meshes, or of each"] = "front"
+    side: Annotated[_Sides, "faces that the material's cull mode keeps, for all meshes or for each"] = "front"

@@ -131,7 +131,7 @@ class RandomDisk(Filter):
     type: Literal["random_disk"] = "random_disk"
     radius: Annotated[Radius, "radius of the disk, in texels"] = 2.0
     lookup: Annotated[TapMode, "how each tap reads the map"] = "bilinear"
-    early_out: Annotated[bool, "whether to skip the other taps where the first few are all lit or all shadowed"] = False
+    early_out: Annotated[bool, "whether to skip the other taps if the first few are all lit or all shadowed"] = False
     beyond_radius: ClassVar[float] = 0.5
 
     @property

@@ -72,7 +72,7 @@ class AnyLoss(Settings):
 
 
 class Loss(AnyLoss):
-    """What a fit minimises: the mean square errors of its views as one number."""
+    """The number that a fit minimises, made from the mean square errors of its views."""
 
     type: Literal["squares"] = "squares"
     over: Annotated[Over, "the mean over all pixels, the worst view, or the mean of the worst views"] = "mean"
@@ -174,13 +174,15 @@ class ShapePhase(Settings):
         float,
         Limits(0, 90),
         Unit("degrees"),
-        "length of the first steps of lights that move, as the shape sees them; it falls to a twentieth",
+        "length of the first steps of lights that move, as seen from the shape; it falls to a twentieth",
     ] = 0.3
     normal_consistency: Annotated[
         float, Limits(0, 1e6), "weight of the mean of 1 - cos of the angles between neighbouring faces' normals"
     ] = 0.0
     edge_length: Annotated[
-        float, Limits(0, 1e6), "weight of the mean square of edges' lengths, as a fraction of that before the phase"
+        float,
+        Limits(0, 1e6),
+        "weight of the mean square of edges' lengths, as a fraction of its value before the phase",
     ] = 0.0
 
 
@@ -196,7 +198,9 @@ Screen = Literal["facing", "below"]
 class Shape(Settings):
     """A fit of all vertices of a mesh to its shadows on screens, one behind it for each light."""
 
-    screen: Annotated[Screen, "what shadows fall on: screens that face their lights, or a level one below"] = "facing"
+    screen: Annotated[
+        Screen, "surfaces that shadows fall on: screens that face their lights, or a level screen below"
+    ] = "facing"
     resolution: Annotated[Size, Unit("pixels"), "[height, width] of images, and of shadow maps in texels"] = (128, 128)
     extent: Annotated[
         Distance | None, "side of the square across the light that an image shows; default: 2.2 radii of all meshes"
@@ -205,7 +209,7 @@ class Shape(Settings):
         Literal["x", "y", "z"] | None,
         "axis across which the shape stays its own mirror image, about the start's middle",
     ] = None
-    pinned: Annotated[Coordinate | None, "vertices of the start below this height stay"] = None
+    pinned: Annotated[Coordinate | None, "vertices of the start below this height do not move"] = None
     moves: Annotated[
         tuple[Annotated[int, Limits(0, 1 << 16)], ...],
         Form("a list of whole numbers", "[0, 2]"),
@@ -215,8 +219,8 @@ class Shape(Settings):
         float,
         Limits(0, 45),
         Unit("degrees"),
-        "for traced shadows: how far those lights start from where they stand in the scene",
+        "for traced shadows: how far these lights start from their place in the scene",
     ] = 0.0
     seconds: Annotated[
-        float, Limits(0, 86_400), Unit("seconds"), "time between checkpoints, from which a stopped fit goes on"
+        float, Limits(0, 86_400), Unit("seconds"), "time between checkpoints, from which a stopped fit continues"
     ] = 10.0

@@ -18,7 +18,7 @@ PatternSamples = Annotated[int, Limits(1, MAX_TAPS), Unit("taps per pixel")]
 
 
 class Pattern(Settings):
-    """Where the taps of a disk lie, a different set for each pixel of a tile."""
+    """The places of the taps on a disk, with a different set for each pixel of a tile."""
 
     pattern: Annotated[PatternName, At(), "how the taps are distributed on a disk"] = "stratified"
     samples: Annotated[Samples, "taps per pixel"] = 32

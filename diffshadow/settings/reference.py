@@ -52,7 +52,7 @@ class PictureReference(Reference):
         Annotated[str, Len(1)] | None,
         InputFile(),
         "a picture (.exr or .npy, linear; .png, sRGB), as large as the camera's image, relative to this file (in an "
-        "override: to the current folder); default: what rays see of the scene as it stands, which is then the truth",
+        "override: to the current folder); default: a ray-traced picture of the scene, whose values are then the truth",
     ] = None
     mask: Annotated[
         Annotated[str, Len(1)] | None,
@@ -60,7 +60,7 @@ class PictureReference(Reference):
         "an image of the pixels that count, above 0.5; default: all of them",
     ] = None
     encoding: Annotated[Encoding | None, "of the picture's numbers; default: by the kind of its file"] = None
-    exposure: Annotated[float, Limits(-20, 20), Unit("stops"), "by how much the drawn picture is lightened"] = 0.0
+    exposure: Annotated[float, Limits(-20, 20), Unit("stops"), "by how much the drawn picture is brightened"] = 0.0
     samples: Annotated[int, Limits(1, 1 << 16), Unit("rays per pixel"), "shadow rays per pixel, without a path"] = 64
     supersampling: Annotated[
         int, Limits(1, 8), Unit("camera rays per pixel side"), "camera rays along a pixel's side, without a path"

@@ -36,11 +36,11 @@ class Lit(Shading):
     intensities: Annotated[
         tuple[Radiance, ...] | None,
         Form("a list with one intensity for each light", "[0.5, [0.2, 0.2, 0.1]]"),
-        "intensities of the lights, one by one, instead of intensity",
+        "an intensity for each light, instead of intensity",
     ] = None
     specular: Annotated[Factor, "specular reflectance"] = 0.15
     shininess: Annotated[float, Limits(0, MAX_FACTOR, above_low=True), "specular exponent"] = 32.0
-    background: Annotated[Radiance, "colour where no surface is seen"] = (0.9, 0.9, 0.9)
+    background: Annotated[Radiance, "colour of pixels without a surface"] = (0.9, 0.9, 0.9)
 
 
 class Phong(Lit):

@@ -69,7 +69,7 @@ class FittedLayout(Mapped):
 
     shadow_distance: _ShadowDistance = None
     margin: Annotated[
-        Texels | None, "how far maps extend beyond what is seen, in texels; default: the filter's reach"
+        Texels | None, "how far maps extend beyond the visible surface, in texels; default: the filter's reach"
     ] = None
 
 
@@ -100,17 +100,19 @@ class Cascades(FittedLayout):
         "how many texels each cascade has, relative to the others, of count times shadow_map.resolution; "
         "default: as many",
     ] = None
-    depths: Annotated[DepthRange, "what is sliced: the camera's near to its far, or the depths that it sees"] = "camera"
-    fit: Annotated[CascadeFit, "what a cascade contains: its slice, or all that lies before its end"] = "cascade"
-    stabilize: Annotated[bool, "whether texels stay where they are on surfaces as the camera moves and turns"] = True
+    depths: Annotated[
+        DepthRange, "depths that are sliced: the camera's near to its far, or the range of the visible surface"
+    ] = "camera"
+    fit: Annotated[CascadeFit, "what a cascade contains: its slice, or everything up to its end"] = "cascade"
+    stabilize: Annotated[bool, "whether texels keep their place on surfaces when the camera moves and turns"] = True
     select: Annotated[CascadeSelection, "a receiver's cascade: by its depth, or the first whose map contains it"] = (
         "interval"
     )
-    blend: Annotated[Fraction, Fitted(), "part of each slice over which its cascade fades into the next"] = 0.1
+    blend: Annotated[Fraction, Fitted(), "fraction of each slice over which its cascade fades into the next"] = 0.1
     max_blend: Annotated[
-        Fraction | None, "greatest blend, which maps are drawn for; default: blend, in a fit its upper bound"
+        Fraction | None, "greatest blend for which maps are drawn; default: blend, in a fit its upper bound"
     ] = None
-    fade: Annotated[Fraction, "part of the last slice over which shadows fade out before the shadow distance"] = 0.0
+    fade: Annotated[Fraction, "fraction of the last slice over which shadows fade out before the shadow distance"] = 0.0
     ascending = (("blend", "max_blend", True),)
 
     @property
@@ -119,7 +121,7 @@ class Cascades(FittedLayout):
 
 
 class PerspectiveWarp(FittedLayout):
-    """One map under each directional light, warped so that what is close to the camera gets more texels."""
+    """One map under each directional light, warped so that surfaces close to the camera get more texels."""
 
     type: Literal["perspective_warp"] = "perspective_warp"
     method: Annotated[WarpMethod, "how the warp's strength is found; lispsm has the least worst aliasing"] = "lispsm"
@@ -127,18 +129,18 @@ class PerspectiveWarp(FittedLayout):
         float | None,
         Limits(0, MAX_FACTOR),
         Fitted(searched=True),
-        "the warp's strength, 0 for none; default: what method finds",
+        "the warp's strength, 0 for none; default: by method",
     ] = None
     focus: Annotated[
         float,
         Limits(0, 1, above_low=True),
         Fitted(searched=True),
-        "part of what is seen, at the camera, that takes 80 % of a trapezoidal map",
+        "fraction of the view, at the camera, that gets 80 % of a trapezoidal map",
     ] = 0.3
     depths: Annotated[
         DepthRange | None,
-        "what the map shows: all depths of the camera, or the depths that it sees; default: camera, or surface for "
-        "perspective",
+        "depths that the map shows: the camera's whole range, or the range of the visible surface; "
+        "default: camera, or surface for perspective",
     ] = None
 
 
@@ -153,7 +155,9 @@ class ResolutionMatched(FittedLayout):
     finest: Annotated[
         int, Limits(32, MAX_VIRTUAL), Unit("texels"), "side of the map at its finest level, a power of two, in texels"
     ] = 16384
-    norm: Annotated[LevelNorm, "what of a texel on the screen matches a pixel: its area, or longest extent"] = "area"
+    norm: Annotated[
+        LevelNorm, "measure of a texel on the screen that matches a pixel: its area, or its longest extent"
+    ] = "area"
     level_bias: Annotated[
         float,
         Limits(-MAX_LEVEL_BIAS, MAX_LEVEL_BIAS),
@@ -166,7 +170,9 @@ class ShadowVolumes(Technique):
     """Hard shadows from shadow volumes, without a map."""
 
     type: Literal["shadow_volumes"] = "shadow_volumes"
-    method: Annotated[VolumeMethod, "which volume faces count: those behind the surface, or in front of it"] = "z_fail"
+    method: Annotated[
+        VolumeMethod, "faces of volumes that count: those behind the surface, or those in front of it"
+    ] = "z_fail"
 
 
 class IrregularZBuffer(Technique):

@@ -43,10 +43,10 @@ class AbstractShading(CheckedModule):
     ) -> Float[Array, "y x 3"]:
         """The image with the mean over each pixel along outlines and creases.
 
-        **Arguments:** as for the image of a surface. `visibility` is that of all points of `seen.surface`, (h, w), or
-        of pixel centres alone, (y, x), which `seen.extend` takes further.
+        **Arguments:** as for the image of a surface. `visibility` has a value for each point of `seen.surface`, (h, w),
+        or for pixel centres only, (y, x), which `seen.extend` then extends to all points.
 
-        **Returns:** (y, x, 3), linear. Differentiable by what moves outlines, too.
+        **Returns:** (y, x, 3), linear. Also differentiable by everything that moves outlines.
 
         **Raises** `ValueError` unless there are as many visibilities as lights.
         """

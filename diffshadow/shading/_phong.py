@@ -46,12 +46,13 @@ class Attenuation(CheckedModule):
 class Phong(AbstractShading):
     """Ambient, diffuse and specular reflection.
 
-    - `ambient`: light from all directions that nothing shadows; added once, whatever the number of lights.
+    - `ambient`: light from all directions, without shadows; added once, not once for each light.
     - `intensity`: of each light: the colour of a white diffuse surface that faces the light. With several lights,
-        divide it by their number to keep the brightness. `intensities`: of the lights one by one, in place of it.
+        divide it by their number to keep the brightness. `intensities`: an intensity for each light, instead of
+        `intensity`.
     - `specular`: fraction of the light that the highlight reflects; `shininess`: its exponent.
     - `background`: colour of pixels without a surface.
-    - `attenuation`: with the distance to a light that is not directional.
+    - `attenuation`: by the distance to a light that is not directional.
     - `model`: `"blinn_phong"`, highlight (N·H)^shininess with H the half vector (Blinn 1977), or `"phong"`,
         (R·V)^shininess with R the reflected light direction (Phong 1975).
 
@@ -88,7 +89,7 @@ class Phong(AbstractShading):
         return jnp.where(surface.mask[..., None], image, self.background.array)
 
     def of_light(self, index: int) -> "Phong":
-        """The shading of the scene with only this one of its lights."""
+        """The shading of the scene with only the light at this index."""
         if self.intensities is None:
             return self
         return dataclasses.replace(self, intensity=self.intensities[index], intensities=None)

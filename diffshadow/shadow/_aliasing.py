@@ -15,17 +15,17 @@ from .layouts import Choice
 
 
 class Aliasing(eqx.Module):
-    """How large a texel is on the screen at each pixel. It is 1 where map and image match; a larger texel is
-    undersampled, and its edges can be seen.
+    """How large a texel is on the screen at each pixel. It is 1 where map and image match. Larger texels undersample
+    the image, and their edges are visible.
 
     The longest extent is Lloyd's error m ("Warping and Partitioning for Low Error Shadow Maps", TR07-005, University of
     North Carolina, 2007).
 
-    - `jacobian`: (h, w, 2, 2), by how many pixels along x and y (rows) a point of the surface moves on the screen if it
-        moves by one texel along the map's x and y (columns).
-    - `perspective`: (h, w, 2, 2), the same of a surface that leans as much towards the camera as towards the light, so
-        that only the two perspectives count. What remains is projection aliasing: it grows as light grazes the surface.
-    - `mask`: (h, w), where it is measured: at surfaces in the map that face the light.
+    - `jacobian`: (h, w, 2, 2), the motion of a surface point on the screen, in pixels along x and y (rows), if it moves
+        by one texel along the map's x and y (columns).
+    - `perspective`: (h, w, 2, 2), the same for a surface that leans equally towards the camera and the light, so that
+        only the two perspectives matter. The rest is projection aliasing, which grows when light grazes the surface.
+    - `mask`: (h, w), the pixels where it is measured: surfaces in the map that face the light.
     """
 
     jacobian: Jacobian

@@ -20,7 +20,7 @@ class AbstractCompare(CheckedModule):
     """Compares stored depth with receiver depth.
 
     - `has_depth_derivative`: whether the result has a derivative with respect to depth. If not, it changes only where
-        `receiver` passes `stored`: elsewhere, texels with silhouettes count as compared alike in all of their parts.
+        `receiver` passes `stored`. Elsewhere, a texel with a silhouette is compared once for all of its parts.
     """
 
     @property

@@ -39,32 +39,32 @@ def draw_shadow_map(
 ) -> ShadowMap:
     """The shadow map of `mesh` under `light`.
 
-    Depth is differentiable with respect to vertices and light, with the face that each texel sees held constant. With
-    `edges`, the shadow's outline is differentiable too, and hard shadows have sub-texel accuracy. A map does not depend
-    on bias or filter: if the light is fixed, draw it once.
+    Depth is differentiable with respect to vertices and light, for a fixed visible face in each texel. With `edges`,
+    the shadow's outline is differentiable too, and hard shadows have sub-texel accuracy. A map does not depend on bias
+    or filter: if the light is fixed, draw it once.
 
     **Arguments:**
 
     - `resolution`: (height, width) in texels.
-    - `depth_layer`: which surface each texel holds. `"nearest"`: the nearest. `"midpoint"` (Woo, "The Shadow Depth Map
-        Revisited", Graphics Gems III, 1992): the mean of the window depths of the two nearest, or of the nearest and
-        the far plane if there is only one. It needs no bias except near silhouettes, where the two surfaces meet.
-        `"second"` (Wang & Molnar 1994): the second nearest; a surface with nothing behind it casts no shadow.
-    - `cull`: which faces do not cast. `"front"` moves acne from lit faces to unlit ones, which are dark anyway; light
-        leaks where another surface lies close behind the unlit faces. It is for closed meshes only: an open mesh loses
-        casters.
+    - `depth_layer`: the surface whose depth a texel stores. `"nearest"`: the nearest. `"midpoint"` (Woo, "The Shadow
+        Depth Map Revisited", Graphics Gems III, 1992): the mean of the window depths of the two nearest, or of the
+        nearest and the far plane if there is only one. It needs no bias except near silhouettes, where the two surfaces
+        meet. `"second"` (Wang & Molnar 1994): the second nearest; a surface with nothing behind it casts no shadow.
+    - `cull`: the faces that do not cast. `"front"` moves acne from lit faces to unlit ones, which are dark anyway;
+        light leaks where another surface lies close behind the unlit faces. Use it for closed meshes only: an open mesh
+        loses casters.
     - `depth_format`: how depths are stored. Fixed-point depths are rounded to the nearest step, and receivers are
         compared with them at a depth clamped to [0, 1].
     - `polygon_offset`: (factor, units) of OpenGL's polygon offset, a bias stored in the map. Each face is stored deeper
         by `factor · max(|dz/dx|, |dz/dy|) + units · r`, with slopes per texel and `r` the smallest depth difference
         that the format is guaranteed to resolve.
     - `edges`: the mesh's edges, for a map with silhouettes; needs depth layer `"nearest"` and cull `"none"`.
-    - `crossings`: how many crossings of silhouettes with the sides of texels there is memory for; a static number, by
-        default from `plan_crossings`. Under a trace, it is required with `edges`.
-    - `raises`: whether more crossings than that are an error. Otherwise the map's `overflow` says whether there are
-        more: throw such a map away, and draw again with more memory.
-    - `shift`: (2,), how far the grid of texels is moved, in texels: points lie so much further along x and y of the
-        map. It stays within a texel, since the window moves with the grid. None to leave it where the light has it.
+    - `crossings`: the number of crossings of silhouettes with the sides of texels for which there is memory; a static
+        number, by default from `plan_crossings`. Under a trace, it is required with `edges`.
+    - `raises`: whether more crossings are an error. Otherwise the map's `overflow` says whether there are more
+        crossings. If so, draw again with more memory.
+    - `shift`: (2,), a shift of the grid of texels, in texels: points move by so much along x and y of the map. Points
+        stay within their texel, since the window moves with the grid. `None` for no shift.
     - `buffer`: as for `rasterize`; ignored with `edges`.
 
     **Raises** `ValueError` if `depth_layer` is unknown, if `edges` are given with another one than `"nearest"` or with
@@ -244,9 +244,9 @@ class MapSettings:
 
 
 class MapPlan(eqx.Module):
-    """What a technique must know of a scene before it draws a shadow map inside `jax.jit`.
+    """What a technique needs to draw a scene's shadow map inside `jax.jit`: edges, and memory for silhouettes.
 
-    - `edges`: of the casters; none for a map without silhouettes.
+    - `edges`: of the casters; `None` for a map without silhouettes.
     - `crossings`, `raises`: as for `draw_shadow_map`.
     """
 

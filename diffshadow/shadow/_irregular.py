@@ -23,8 +23,8 @@ from ._technique import AbstractTechnique
 class IrregularScene(eqx.Module):
     """The input of an irregular z-buffer.
 
-    - `mesh`: all surfaces; `casts`: (f,), which of its faces cast.
-    - `light`: whose views the points are sorted in.
+    - `mesh`: all surfaces; `casts`: (f,), whether each of its faces casts.
+    - `light`: the light in whose views the points are sorted.
     """
 
     mesh: Mesh
@@ -35,12 +35,12 @@ class IrregularScene(eqx.Module):
 class IrregularZBuffer(AbstractTechnique):
     """Hard shadows by testing triangles against the surface's points in the light's view.
 
-    Equal to rays traced to the light's centre up to the rounding of the surface's positions. It finds one visibility a
-    point: for several per pixel, give it the surface that a camera with more pixels sees, and average (Wyman, Hoetzlein
-    & Lefohn 2015, "Frustum-traced raster shadows", take 32).
+    Equal to rays traced to the light's centre up to the rounding of the surface's positions. It finds one visibility
+    for each point. For several points per pixel, pass the surface of a camera with more pixels, and average (Wyman,
+    Hoetzlein & Lefohn 2015, "Frustum-traced raster shadows", take 32).
 
-    A light's size is ignored. A point outside of the light's frustum, or behind a light with a cone, is lit and does
-    not count as covered, as in a shadow map; the frustum's near and far cut nothing.
+    A light's size is ignored. As in a shadow map, a point outside of the light's frustum, or behind a light with a
+    cone, is lit and does not count as covered. The frustum's near and far planes cut nothing.
 
     Visibility is 0 or 1 and has no gradient.
     """
@@ -48,7 +48,7 @@ class IrregularZBuffer(AbstractTechnique):
     settings: ClassVar = techniques.IrregularZBuffer
 
     def prepare(self, scene: Scene, surface: Surface | None = None) -> IrregularScene:
-        """The scene's triangles. It does not depend on `surface`: the points are sorted by `visibility`."""
+        """The scene's triangles. It does not depend on `surface`, whose points `visibility` sorts."""
         mesh = scene.mesh.padded()
         casts = padded_to(scene.casting_faces, mesh.faces.shape[0])
         return IrregularScene(mesh, as_array(casts), scene.light)

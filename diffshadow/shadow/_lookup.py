@@ -23,7 +23,8 @@ from .biases import BiasTerms
 
 
 class Lookup(eqx.Module):
-    """Where receivers sample the map, and the depth they compare with. Shapes are an image's; any other works.
+    """The places where receivers sample the map, and the depths that they compare. Shapes are an image's; any other
+    works.
 
     - `x`, `y`: (h, w), in texels; the centre of the first texel is at (0.5, 0.5). `Lookup(...)` takes both as one array
         `texel` (h, w, 2).
@@ -31,12 +32,12 @@ class Lookup(eqx.Module):
     - `depth_per_texel`: (h, w), window depth per texel width, the unit of a soft compare.
     - `inside`: (h, w), whether the receiver lies in front of the light and before the far plane.
     - `slope`: the receiver plane's window depth per texel along x and y, (h, w) each. Each tap compares with the plane
-        at the centre of its texel. None if all taps compare with the same depth. `Lookup(...)` takes one array
-        (h, w, 2).
-    - `layer`: (h, w), which of the light's maps is read; none if there is only one.
-    - `deepest`: (h, w), upper bound on the window depth of the receiver plane; none for no bound.
-    - `position`: the points in the world that x and y are the projections of, x, y and z, (h, w) each; none if not
-        known. With it, derivatives by x and y under a hard compare are found only where silhouettes cause some.
+        at the centre of its texel. `None` if all taps compare with the same depth. `Lookup(...)` takes one array (h, w,
+        2).
+    - `layer`: (h, w), the number of the light's map that is read; `None` if there is only one.
+    - `deepest`: (h, w), upper bound on the window depth of the receiver plane; `None` for no bound.
+    - `position`: the points in the world whose projections are x and y: their x, y and z, (h, w) each; `None` if not
+        known. With it, derivatives by x and y under a hard compare are computed only where there are silhouettes.
         `Lookup(...)` takes one array (h, w, 3).
     """
 
@@ -79,7 +80,7 @@ class Lookup(eqx.Module):
         return eqx.tree_at(moved, self, (x, y, None), is_leaf=lambda leaf: leaf is None)
 
     def of(self, position: tuple[Float[Array, "*n"], ...]) -> "Lookup":
-        """The same look-up, of points whose projections are at x and y."""
+        """The same look-up with points whose projections are at x and y."""
         return eqx.tree_at(lambda lookup: lookup.position, self, position, is_leaf=lambda leaf: leaf is None)
 
     def depths_within(self, reach: Float[Array, "..."]) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
@@ -94,11 +95,11 @@ class Lookup(eqx.Module):
         return low, high
 
     def detached(self) -> "Lookup":
-        """Without derivatives with respect to where it is."""
+        """The same look-up without derivatives with respect to its place."""
         return self.at(*lax.stop_gradient((self.x, self.y)))
 
     def with_depths_detached(self) -> "Lookup":
-        """Without derivatives with respect to what is compared."""
+        """The same look-up without derivatives with respect to the compared depths."""
         depths = lambda lookup: (lookup.depth, lookup.depth_per_texel, lookup.slope, lookup.deepest)
         return eqx.tree_at(depths, self, lax.stop_gradient(depths(self)), is_leaf=lambda leaf: leaf is None)
 

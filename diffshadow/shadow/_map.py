@@ -33,13 +33,13 @@ class ShadowMap(eqx.Module):
         several views, such as a point light.
     - `light`: the light it was drawn from.
     - `depth_format`: how depths are stored.
-    - `silhouettes`: the casters' outlines within texels; none if the map was drawn without edges.
+    - `silhouettes`: the casters' outlines within texels; `None` if the map was drawn without edges.
     - `padded`: its depths in an `Atlas`, which look-ups then read instead of padding `depth`.
-    - `view`: the light's view, found as the map is made, since every program that looks into the map needs it. For
+    - `view`: the light's view, which every program that reads the map needs. It is computed once with the map. For
         another light, make another map.
-    - `overflow`: whether silhouettes are missing, so that the map is wrong; none if drawing raises instead.
-    - `crossings`: how many sides of texels the silhouettes cross, also of those that are missing; known where
-        `overflow` is.
+    - `overflow`: whether silhouettes are missing, so that the map is wrong; `None` if drawing raises instead.
+    - `crossings`: how many sides of texels the silhouettes cross, including missing silhouettes; known if `overflow`
+        is.
     """
 
     depth: Float[Array, "*l h w"]

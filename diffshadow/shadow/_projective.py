@@ -35,9 +35,9 @@ class ProjectiveTexture(eqx.Module):
     - `coverage`: (h, w), coverage by the casters in [0, 1], sampled at texel centres and blurred. Row 0 is the bottom
         row. (l, h, w) for a light with several views.
     - `light`: the light it was drawn from.
-    - `casts`: (f,), which faces of the scene's mesh are the casters'.
-    - `margin`: how many texels on each side lie outside the light's frustum. They hold only what the blur spreads
-        there.
+    - `casts`: (f,), whether each face of the scene's mesh belongs to a caster.
+    - `margin`: how many texels on each side lie outside the light's frustum. They contain only coverage that the blur
+        spreads there.
     """
 
     coverage: Float[Array, "*l h w"]
@@ -60,7 +60,7 @@ class ProjectiveShadow(AbstractTechnique):
     - `max_blur`: upper bound on `blur`, in texels. Defaults to `blur`, or to 8 if that is traced.
     - `kernel`: `"box"`, whose radius is half its width, `"tent"` or `"gaussian"`, cut off at three standard deviations.
 
-    Differentiable with respect to the blur and to where receivers fall in the texture. Coverage is sampled at texel
+    Differentiable with respect to the blur and to the receivers' places in the texture. Coverage is sampled at texel
     centres, so it has no derivative with respect to casters or light: do not rely on gradients of their poses.
 
     **Raises** `ValueError` if `blur` is above `max_blur`.

@@ -33,17 +33,17 @@ class Receiver(eqx.Module):
 
     - `position`: (h, w, 3), world units; `normal`: (h, w, 3), unit, geometric.
     - `cosine`: (h, w), of the angle between the normal and the direction to the light's centre.
-    - `texel`: (h, w, 2), where it falls in the map, x and y in texels; `depth`: (h, w), its window depth.
+    - `texel`: (h, w, 2), its place in the map, x and y in texels; `depth`: (h, w), its window depth.
     - `in_front`: (h, w), whether it is in front of the light.
     - `texel_size`: (h, w), width of a shadow-map texel there, in world units.
     - `depth_per_texel`: (h, w), change of window depth over that length along the light's axis.
     - `slope`: (h, w, 2), the receiver plane's depth slope along the map's x and y, in texel widths per texel.
-    - `rounding`: (h, w), bound on the rounding error between its depth, or its plane's under a kernel, and the map's,
-        in window depth.
+    - `rounding`: (h, w), bound on the rounding error between the map's depth and its own depth (or the depth of its
+        plane under a kernel), in window depth.
     - `distance`: (h, w), along the light's axis, 0 at the map's near plane and 1 at its far plane; `depth_range`: from
         one to the other, in world units.
     - `stored`: (h, w), the map's window depth at the texel that it falls in; 1 beyond the map.
-    - `layer`: (h, w), which of the light's maps it falls in; none if there is only one.
+    - `layer`: (h, w), the number of the light's map in which it lies; `None` if there is only one.
     """
 
     position: VectorMap
@@ -67,7 +67,7 @@ def receiver(shadow_map: ShadowMap, surface: Surface, layer: Int[Array, "h w"] |
 
     **Arguments:**
 
-    - `layer`: (h, w), which of the light's maps each point falls in; from the light's `layer` if left out.
+    - `layer`: (h, w), the number of the light's map in which each point lies; by default from the light's `layer`.
     """
     layer = shadow_map.light.layer(surface.position) if layer is None else layer
     view = shadow_map.view.facing(layer)

@@ -11,15 +11,15 @@ from .filters import AbstractFilter
 
 
 def bias_for(filter: AbstractFilter, plane: AbstractBias | None = None, *, across: float = math.inf) -> Bias:
-    """The bias that holds over many scenes with a filter: what a configuration has that gives none.
+    """The bias for a filter that works in many scenes. A configuration without a bias uses it.
 
     It is a rule of thumb, measured over a collection of scenes: a constant bias, a slope bias and, under wide filters,
-    a normal offset. A fit to a scene has less error; the documentation's page on rules of thumb says by how much.
+    a normal offset. A fit to a scene has less error. The documentation's page on rules of thumb has figures.
 
     **Arguments:**
 
-    - `plane`: a `ReceiverPlane()` that is a part of the bias, which then needs less. One with numbers of its own, which
-        was not measured, or an `AdaptiveBias` has no bias beside it.
+    - `plane`: a `ReceiverPlane()` that is a part of the bias. The other parts are then smaller. A `ReceiverPlane` with
+        other numbers was not measured. With it, or with an `AdaptiveBias`, the other parts are 0.
 
     **Raises** `ValueError` for a filter with a traced radius.
 

@@ -36,7 +36,7 @@ class ShadowMapping(AbstractTechnique):
     """Shadow mapping (Williams 1978).
 
     - `filter`: where the map is tapped, and how the taps are weighted.
-    - `bias`: what keeps surfaces from shadowing themselves.
+    - `bias`: keeps surfaces from shadowing themselves (acne).
     - `compare`: how depths are compared.
     - `map`: how the map is drawn.
     - `layout`: how the map's texels are laid out over the scene.
@@ -71,7 +71,7 @@ class ShadowMapping(AbstractTechnique):
 
     @property
     def reach(self) -> float | None:
-        """How far from a receiver the map is read, in texels, with the normal offset; none if that is not known."""
+        """How far from a receiver the map is read, in texels, including the normal offset; `None` if not known."""
         return None if self.filter.reach is None else self.filter.reach + self.bias.reach
 
     @property
@@ -82,15 +82,17 @@ class ShadowMapping(AbstractTechnique):
     def plan(
         self, scene: Scene, surface: Surface | None = None, *, margin: float = 2.0, raises: bool = True
     ) -> MapPlan:
-        """What `prepare` needs inside `jax.jit` for scenes like this one: with the same faces, moved or lit otherwise.
+        """What `prepare` needs inside `jax.jit` for scenes with the same faces, which may move or be lit by other
+        lights.
 
         **Arguments:**
 
         - `surface`: as for `prepare`.
-        - `margin`: for how many times the silhouettes of this scene there is memory.
-        - `raises`: whether a map of more silhouettes is an error. Otherwise `ShadowMap.overflow` says which maps are.
+        - `margin`: the memory, as a multiple of the memory for the silhouettes of this scene.
+        - `raises`: whether a map of more silhouettes is an error. Otherwise `ShadowMap.overflow` says whether a map has
+            more.
 
-        **Raises** `ValueError` inside `jax.jit`, and what the layout raises.
+        **Raises** `ValueError` inside `jax.jit`, and the errors of the layout.
         """
         if not self.map.silhouettes:
             return MapPlan()
@@ -108,7 +110,7 @@ class ShadowMapping(AbstractTechnique):
 
         - `plan`: needed inside `jax.jit`, `grad` or `vmap` for a map with silhouettes; made outside by `plan`.
 
-        **Raises** what `draw_shadow_map` and the layout raise, and `ValueError` without a plan where one is needed.
+        **Raises** the errors of `draw_shadow_map` and of the layout, and `ValueError` if a needed plan is missing.
         """
         if self.map.silhouettes and plan is None and is_traced(scene):
             raise ValueError(

@@ -15,23 +15,23 @@ from ._compare import AbstractCompare
 class AbstractTechnique(CheckedModule):
     """Draws the shadows of a scene in two steps.
 
-    `prepare` makes a state from what the light sees: a shadow map, a texture, or the edges to extrude. `visibility`
-    makes an image from the state. The state depends on meshes, light and, for some techniques, the camera. It does not
-    depend on bias or filter, so one state serves all their settings.
+    `prepare` makes a state from the light's view: a shadow map, a texture, or the edges to extrude. `visibility` makes
+    an image from the state. The state depends on meshes, light and, for some techniques, the camera. It does not depend
+    on bias or filter, so one state works for all biases and filters.
 
-    What the state is depends on the technique, so it has no type in common: `ShadowMapping` makes a `ShadowMap`, an
-    engine's technique an `EngineMap`, `ProjectiveShadow` a `ProjectiveTexture`. Other techniques have a class of their
-    own, as one of yours may. Callers hand it on as it is.
+    Each technique has its own class of state: `ShadowMapping` makes a `ShadowMap`, an engine's technique an
+    `EngineMap`, `ProjectiveShadow` a `ProjectiveTexture`. Other techniques, including your own, may have their own
+    class of state. Callers only pass it on.
     """
 
     @abc.abstractmethod
     def prepare(self, scene: Scene, surface: Surface | None = None) -> Any:
-        """The technique's state: what it draws once for the scene's only light, such as a `ShadowMap`.
+        """The technique's state, such as a `ShadowMap`, which is drawn once for the scene's only light.
 
         **Arguments:**
 
-        - `surface`: what `scene.camera` sees, for techniques that fit their maps to it. They draw it themselves if it
-            is left out; all other techniques ignore it.
+        - `surface`: the surface that `scene.camera` sees, for techniques that fit their maps to it. Such techniques
+            draw the surface themselves if it is left out. All other techniques ignore it.
 
         **Raises** `ValueError` if the scene has several lights, see `Scene.lit_by`.
         """
@@ -42,16 +42,18 @@ class AbstractTechnique(CheckedModule):
 
         **Arguments:**
 
-        - `state`: as `prepare` returns it.
+        - `state`: the result of `prepare`.
         - `surface`: the surface of `scene.mesh` that a camera sees. Pixels without a surface are lit.
         """
 
     @abc.abstractmethod
     def covered(self, state: Any, surface: Surface) -> Mask:
-        """Pixels that the technique covers, (h, w). The others have no surface, or one outside the technique's maps."""
+        """Pixels that the technique covers, (h, w). All other pixels have no surface, or a surface outside of the
+        technique's maps."""
 
     def casting_sides(self, scene: Scene) -> tuple[Side | None, ...]:
-        """Which faces of each mesh cast shadows, as the light sees them; none of a mesh that does not cast."""
+        """The faces of each mesh that cast shadows, by the side that the light sees; `None` for a mesh that does not
+        cast."""
         return of_casters(["double" for _ in scene.meshes], scene)
 
 

@@ -58,9 +58,9 @@ class VolumeScene(eqx.Module):
     """The input of shadow volumes.
 
     - `casters`: visible, and cast shadows. Volumes are watertight if coincident vertices are bitwise equal.
-    - `light`, `camera`: where volumes are extruded from, and where they are seen from.
+    - `light`, `camera`: the light that extrudes the volumes, and the camera that sees them.
     - `edges`: of `casters`.
-    - `receivers`: further surfaces, which are visible but cast no shadow; or none.
+    - `receivers`: surfaces that are visible but cast no shadow, or `None`.
     """
 
     casters: Mesh
@@ -86,14 +86,15 @@ class Volumes(eqx.Module):
 class ShadowVolumes(AbstractTechnique):
     """Hard shadows by counting the shadow volumes around each visible surface point.
 
-    - `method`: which faces of volumes are counted. `"z_fail"`: those at or behind the surface, with volumes capped at
-        both ends (Bilodeau & Songy 1999; Carmack 2000); correct wherever the eye is. `"z_pass"`: those in front of the
-        surface, without caps; cheaper, but wrong if the eye is inside a volume or the near plane cuts one.
+    - `method`: the faces of volumes that are counted. `"z_fail"`: faces at or behind the surface, with volumes capped
+        at both ends (Bilodeau & Songy 1999; Carmack 2000); correct for every position of the eye. `"z_pass"`: faces in
+        front of the surface, without caps; cheaper, but wrong if the eye is inside a volume or the near plane cuts a
+        volume.
 
     Every light is a point light or a directional one: a spot light's cone is ignored, and so is a light's size.
 
-    A mesh that does not cast stops neither light nor shadow: a caster's shadow falls on such a wall, and again on
-    whatever lies behind it (a "ghost shadow"). Let the wall cast to avoid this.
+    A mesh that does not cast stops neither light nor shadow. A caster's shadow falls on such a wall, and again on
+    surfaces behind the wall (a "ghost shadow"). Let the wall cast to avoid this.
 
     The counts are integers and have no gradient.
     """
@@ -116,8 +117,8 @@ class ShadowVolumes(AbstractTechnique):
     def counts(self, state: VolumeScene) -> Int[Array, "h w"]:
         """How many shadow volumes each visible surface point lies in, (h, w); row 0 is the bottom row.
 
-        Of a solid, each face that faces the light and lies between the light and the point counts once; of an open
-        mesh, each face between them. The count is undefined at pixels without a surface.
+        For a solid, each face between light and point counts if it faces the light. For an open mesh, each face between
+        light and point counts. The count is undefined at pixels without a surface.
         """
         return self._count(state).counts
 
@@ -129,7 +130,7 @@ class ShadowVolumes(AbstractTechnique):
 
         **Arguments:**
 
-        - `surface`: ignored: the faces that the state's camera sees are drawn again, in double precision.
+        - `surface`: ignored, since the faces that the state's camera sees are drawn again, in double precision.
         """
         found = self._count(state)
         return as_float((found.counts == 0) & found.lit_side | ~found.seen)

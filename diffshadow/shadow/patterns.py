@@ -72,11 +72,11 @@ def uniform(
     seed: int = 0,
     rotated: bool = Settings.rotated,
 ) -> Pattern:
-    """Points that are uniform over the disk and independent of each other, another set for each pixel of a tile: plain
-    Monte Carlo (Cook, Porter & Carpenter, "Distributed Ray Tracing", SIGGRAPH 1984).
+    """Uniform, independent points over the disk, with a different set for each pixel of a tile: plain Monte Carlo
+    (Cook, Porter & Carpenter, "Distributed Ray Tracing", SIGGRAPH 1984).
 
-    The error of their mean falls as n^(-1/2) whatever the occluder. Point (u, v) of the unit square lies at radius √v
-    and angle 2πu.
+    The error of their mean falls as n^(-1/2) for every caster. Point (u, v) of the unit square lies at radius √v and
+    angle 2πu.
 
     **Arguments:**
 
@@ -97,8 +97,8 @@ def stratified(
     seed: int = 0,
     rotated: bool = Settings.rotated,
 ) -> Pattern:
-    """Stratified jittered points, another set for each pixel of a tile. With 4 by 8 strata it is the classic offset
-    table (Uralsky, "Efficient Soft-Edged Shadows Using Pixel Shader Branching", GPU Gems 2, 2005).
+    """Stratified jittered points, with a different set for each pixel of a tile. With 4 by 8 strata it is the classic
+    offset table (Uralsky, "Efficient Soft-Edged Shadows Using Pixel Shader Branching", GPU Gems 2, 2005).
 
     **Arguments:**
 
@@ -234,8 +234,8 @@ def poisson_disk(
     seed: int = 0,
     rotated: bool = Settings.rotated,
 ) -> Pattern:
-    """Random points with a minimum distance between them, another set for each pixel of a tile (Cook, "Stochastic
-    Sampling in Computer Graphics", ACM Transactions on Graphics 5(1), 1986).
+    """Random points with a minimum distance between them, with a different set for each pixel of a tile (Cook,
+    "Stochastic Sampling in Computer Graphics", ACM Transactions on Graphics 5(1), 1986).
 
     Darts are thrown at a periodic square, and those too close to an earlier one are dropped. Each set consists of the
     `samples` darts nearest to a random point. Scaled to the unit disk, they are at least about 1.3 / √n apart.

@@ -1,4 +1,4 @@
-"""A page that shows a configuration, and draws it again as its settings are dragged."""
+"""A page that shows a configuration, and redraws it while its settings are dragged."""
 
 from ._animate import Change as Change
 from ._animate import animate as animate

@@ -65,7 +65,7 @@ class Fit:
         try:
             run = study.fit_technique(config, progress, on_step)
         except _StoppedError:
-            self._tell(running=False, note="stopped; the sliders stand where it was")
+            self._tell(running=False, note="stopped; the sliders show its last values")
         except Exception as error:
             self._tell(running=False, error=reason_of(error))
         else:

@@ -104,17 +104,17 @@ class OpenPage:
 
 
 def view(what: Any, *overrides: str, port: int = 0) -> OpenPage:
-    """Shows a scene in a page, on which its settings can be dragged.
+    """Shows a scene in a page where you can drag its settings.
 
     **Arguments:**
 
-    - `what`: a `Config`; the path of a configuration, a mesh or a run's folder; a `Scene`; or a problem that has one,
-        such as a `TechniqueProblem`. Of scenes and problems, the page shows meshes, camera and lights, with a
-        configuration's default technique.
+    - `what`: a `Config`; the path of a configuration, a mesh or a run's folder; a `Scene`; or a problem with a scene,
+        such as a `TechniqueProblem`. For scenes and problems, the page shows meshes, camera and lights, with the
+        default technique.
     - `overrides`: strings such as `"filter.radius=3"` that replace values of the configuration.
     - `port`: to listen on, on this machine only; 0 is any free one.
 
-    **Returns** the page, whose `values` are the numbers that were changed on it. Its `close` frees all that it holds.
+    **Returns** the page, whose `values` are the numbers that were changed on it. Its `close` frees all of its memory.
 
     **Raises** `ConfigError` for a mistake in the configuration, `TypeError` for other objects, and `ValueError` for a
     problem without a scene, or a port that cannot be used.

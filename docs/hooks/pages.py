@@ -2,6 +2,7 @@
 
 import ast
 import base64
+import json
 import re
 from pathlib import Path
 from typing import TypeGuard
@@ -9,6 +10,7 @@ from typing import TypeGuard
 import nbformat
 from latex2mathml.converter import convert
 from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.plugins import event_priority
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
@@ -40,6 +42,19 @@ FURTHER = {"diffshadow.shadow": ("diffshadow.shadow.kernels",)}
 # Of a package: its docstring without the names in it.
 _TEXT_ALONE = "members: false, show_root_heading: false, show_root_toc_entry: false"
 _FENCES = re.compile(r"(^ *```.*?^ *```)", re.MULTILINE | re.DOTALL)
+_CODE = re.compile(r"<pre>.*?</pre>", re.DOTALL)
+_IMPORTS = re.compile(r"^(?:import .+|from \S+ import (?:\([^)]*\)|.+))\n?|^setup\(.*\n?", re.MULTILINE)
+# Which a hit in the documentation's text explains better.
+_SOURCE = re.compile(r"Source code in <code>.*", re.DOTALL)
+# How much hits count on a page. Numbers to type come first; how things came about comes last.
+BOOSTS = {
+    "docs/rules_of_thumb.md": 2,
+    "notebooks/": 0.5,
+    "api/": 0.5,
+    "ARCHITECTURE.md": 0.5,
+    "CHANGELOG.md": 0.2,
+    "docs/changes_in_detail.md": 0.1,
+}
 _FORMULAS = re.compile(r"\$\$(?P<block>.+?)\$\$|\$(?P<inline>[^$\n]+?)\$", re.DOTALL)
 
 
@@ -91,6 +106,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Doubles the indentation of nested lists, which Python-Markdown expects to be four spaces."""
+    for start, boost in BOOSTS.items():
+        if page.file.src_uri.startswith(start):
+            page.meta["search"] = {"boost": boost}
     if page.file.src_uri.startswith("api/"):
         return markdown
     parts = _FENCES.split(markdown)
@@ -98,8 +116,33 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     return "".join(parts)
 
 
+@event_priority(-100)
+def on_post_build(config: MkDocsConfig) -> None:
+    """Puts the prose of each section before its code in the index of the search, after the plugin has written it.
+
+    A hit is shown with the first words of its section. Imports say nothing about it and are left out.
+    """
+    path = Path(config.site_dir, "search", "search_index.json")
+    index = json.loads(path.read_text(encoding="utf-8"))
+    for section in index["docs"]:
+        section["text"] = prose_first(section["text"])
+    path.write_text(json.dumps(index, ensure_ascii=False, separators=(",", ":")), encoding="utf-8")
+
+
+def prose_first(text: str) -> str:
+    """The HTML of a section with its code at the end, without imports and without the source of what it documents."""
+    text = _SOURCE.sub("", text)
+    code = [_IMPORTS.sub("", block) for block in _CODE.findall(text.replace("<pre><code>", "<pre><code>\n"))]
+    blocks = [block for block in code if re.sub("<[^>]*>", "", block).strip()]
+    return "\n".join([_CODE.sub("", text).strip(), *blocks]).strip()
+
+
 def notebook_files(path: Path, config: MkDocsConfig) -> list[File]:
-    """The page of an executed notebook, and its pictures."""
+    """The page of an executed notebook, and its pictures.
+
+    A cell with the tag `hide-input` is folded. The picture of the cell with the tag `picture` also follows the first
+    text, so that the page begins with what one gets.
+    """
     name = path.relative_to(ROOT).as_posix()
     parts: list[str] = []
     pictures: list[File] = []
@@ -107,7 +150,9 @@ def notebook_files(path: Path, config: MkDocsConfig) -> list[File]:
         if cell.cell_type == "markdown":
             parts.append(_FORMULAS.sub(mathml, cell.source))
             continue
-        parts.append(f"```python\n{cell.source}\n```")
+        tags = cell.metadata.get("tags", ())
+        code = f"```python\n{cell.source}\n```"
+        parts.append(folded("Imports and sizes", code) if "hide-input" in tags else code)
         for output in cell.outputs:
             data = output.get("data", {})
             if "image/png" in data:
@@ -115,11 +160,19 @@ def notebook_files(path: Path, config: MkDocsConfig) -> list[File]:
                 content = base64.b64decode(data["image/png"])
                 pictures.append(File.generated(config, f"notebooks/{picture}", content=content))
                 parts.append(f"![Output of the cell]({picture})")
+                if "picture" in tags:
+                    parts.insert(1, f"![What this notebook draws]({picture})")
             elif "text/html" in data:
                 parts.append(re.sub(r"<style.*?</style>|^\s+", "", data["text/html"], flags=re.DOTALL | re.MULTILINE))
             else:
                 parts.append(f"```text\n{(output.get('text') or data['text/plain']).rstrip()}\n```")
     return [NotebookFile.generated(config, name, content="\n\n".join(parts) + "\n"), *pictures]
+
+
+def folded(title: str, block: str) -> str:
+    """A block that opens with a click, and that the search leaves out."""
+    head = f'<details class="note" markdown data-search-exclude><summary>{title}</summary>'
+    return f"{head}\n\n{block}\n\n</details>"
 
 
 def mathml(formula: re.Match[str]) -> str:

@@ -310,10 +310,10 @@ technique: {type: cascades, count: 4, shares: [2, 1, 1]}
 technique: {type: cascades, count: 2, shares: [2, 0]}
     2: technique.shares.1: is 0; expected a number at least 0.001 and at most 1000; give such a value
 technique: {type: cascades, count: 2, shares: [2, 1]}↵shadow_map: {resolution: [64, 32]}
-    3: shadow_map.resolution: is [64, 32], and technique.shares are given, for square maps; expected two equal
+    3: shadow_map.resolution: is [64, 32], and technique.shares are given, whose maps are square; expected two equal
     numbers; change it, or remove technique.shares
 technique: {type: cascades, count: 2, shares: [2, 1]}↵shadow_map: {silhouettes: true}
-    3: shadow_map.silhouettes: is true, and technique.shares are given, for maps without silhouettes; expected false;
+    3: shadow_map.silhouettes: is true, and technique.shares are given, whose maps have no silhouettes; expected false;
     change it, or remove technique.shares
 technique: {type: cascades, count: 2, shares: [2, 1]}↵fit: {parameters: {scene.light.azimuth: {lower: 0, upper: 90}}}
     2: technique.shares: is given in a fit of lights or meshes, which needs maps with silhouettes; expected cascades

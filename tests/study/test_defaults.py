@@ -112,7 +112,7 @@ def test_without_a_map_an_engines_own_is_taken_and_said():
 def test_an_engine_without_a_rule_says_what_it_ships(engine):
     text = printed(engine=engine)
     shipped = {"playcanvas": "shadowBias = 0.05, normalOffsetBias = 0", "godot_compatibility": "shadow_bias = 0.1,"}
-    assert f"{ENGINES[engine]} ships {shipped[engine]}" in text
+    assert f"{ENGINES[engine]}'s default is {shipped[engine]}" in text
     assert "no rule has been measured for it" in text
 
 

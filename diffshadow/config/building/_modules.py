@@ -34,8 +34,8 @@ class FitPlan:
     """What is fitted, and how.
 
     - `solver`, `anneal`, `search`, `sureness`: as for `fit.fit`.
-    - `loss`: of the errors of all views and lights, a `fit.Loss` or a user's.
-    - `arrangement`: technique, lights and meshes of the scene if lights or meshes are fitted; otherwise none.
+    - `loss`: a `fit.Loss` of the errors of all views and lights, or a user's loss.
+    - `arrangement`: technique, lights and meshes of the scene; `None` if no lights or meshes are fitted.
     - `truth`: the scene's own values of fitted poses, by name, if the reference is traced.
     - `points`: as for `fit.PoseProblem.of`.
     """

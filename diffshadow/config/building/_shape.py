@@ -76,9 +76,9 @@ class Screen(NamedTuple):
 class ShapePlan(NamedTuple):
     """All that a fit of a shape needs.
 
-    - `seen`, `unseen`: the screens of the fit's lights and of those for measuring.
+    - `seen`, `unseen`: the screens of the fit's lights, and of the lights that only measure the result.
     - `starts`: for each light of the fit, whether it is fitted too, and the light that the fit starts from.
-    - `start`: where the fit starts; none for the targets' visual hull. `symmetry`: as for `fit.ShapeProblem`.
+    - `start`: the mesh at the start; `None` for the visual hull of the targets. `symmetry`: as for `fit.ShapeProblem`.
     - `targets`: the mesh whose shadow each light should cast; empty if there are images.
     - `truth`: the mesh that casts all of these shadows, if there is one.
     - `images`, `weights`: (h, w), of each light; empty without images.

@@ -41,7 +41,8 @@ def build_technique(config: Config, *, fitting: bool = True) -> shadow.AbstractT
 
 
 def build_shadow_mapping(config: Config, *, fitting: bool = True) -> shadow.ShadowMapping:
-    """The shadow mapping of `config`, even if its technique is another one; otherwise as `build_technique`."""
+    """The shadow mapping of `config`, even if the configuration has another technique. Everything else is as in
+    `build_technique`."""
     config = config.with_starts() if fitting else config
     with blame(config, ("bias",)):
         bias = build_bias(config.bias)
@@ -55,7 +56,7 @@ def build_shadow_mapping(config: Config, *, fitting: bool = True) -> shadow.Shad
 
 
 def build_fittable(config: Config, *, fitting: bool = True) -> Any:
-    """The technique of `config` that a fit changes: an engine's, a user's, or shadow mapping; otherwise as
+    """The technique of `config` that a fit changes: an engine's, a user's, or shadow mapping. Everything else is as in
     `build_technique`."""
     section = config.technique
     if not section.is_whole:

@@ -43,7 +43,7 @@ class Advice(NamedTuple):
     """The fits of a recommendation.
 
     - `sweep`: a fit for each technique; `techniques`: these, in the same order.
-    - `engine`: whose techniques these are, if they are an engine's.
+    - `engine`: the engine, if the techniques are an engine's.
     """
 
     settings: AdviseConfig
@@ -57,7 +57,7 @@ def load_advice(
 ) -> Advice:
     """Loads the fits of the section `advise` in the YAML file `path`, with `overrides` applied, like `load_sweep`.
 
-    Without that section, the techniques are its defaults.
+    Without this section, the techniques are the defaults of the section.
 
     **Raises** `ConfigError` with everything that is wrong with the file, the overrides or any of the fits.
     """

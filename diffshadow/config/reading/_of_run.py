@@ -41,7 +41,7 @@ def settings_file(path: str | os.PathLike[str], *, sweep: bool = False) -> Setti
     **Arguments:**
 
     - `path`: a run's folder, its `config.yaml`, or any other configuration.
-    - `sweep`: whether a folder of a sweep is expected, whose configuration is then returned.
+    - `sweep`: whether to accept the folder of a sweep, and return the sweep's configuration.
 
     **Returns** `fitted.yaml` of a fit, `recommended.yaml` of a recommendation, `config.yaml` of a render, and otherwise
     `path`.
@@ -69,7 +69,8 @@ def settings_file(path: str | os.PathLike[str], *, sweep: bool = False) -> Setti
 
 
 def with_fitted(config: Config, values: Mapping[str, float], source: str = "the fitted configuration") -> Config:
-    """`config` with these numbers, by the keys that set them, where its fit starts then, and the layout of the fit.
+    """`config` with these numbers, by their keys, as values and as the start of its fit, and with the layout of the
+    fit.
 
     `source` is the name of the configuration in errors.
 

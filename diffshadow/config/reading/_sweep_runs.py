@@ -52,7 +52,7 @@ class SweepRun(NamedTuple):
         files. The order of the runs, names and folders have no effect on it.
     - `values`: the run's value on each axis.
     - `config`: its configuration, without the sweep.
-    - `frames`: the configurations along the path of `sweep.flicker`; none without it.
+    - `frames`: the configurations along the path of `sweep.flicker`; empty without that section.
     """
 
     id: str
@@ -64,7 +64,7 @@ class SweepRun(NamedTuple):
 class SweepRuns(Sequence[SweepRun]):
     """The runs of a sweep, in the order of its axes. The last axis varies fastest.
 
-    Runs are made when they are needed, since a million of them would fill the memory. Only a small sweep's runs are
+    Runs are made when they are needed, since a million of them would fill the memory. Only the runs of small sweeps are
     kept. Making a run **raises** `ConfigError` if its configuration is invalid; `check` tries all of them.
     """
 
@@ -103,7 +103,7 @@ class SweepRuns(Sequence[SweepRun]):
         return self.at(range(self._count))
 
     def at(self, indices: Sequence[int]) -> Iterator[SweepRun]:
-        """The runs at the increasing `indices`. Work that they have in common is done once."""
+        """The runs at the increasing `indices`. Work that the runs share is done once."""
         if self._kept is not None:
             yield from (self._kept[index] for index in indices)
             return

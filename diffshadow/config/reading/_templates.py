@@ -81,7 +81,7 @@ def template_text(name: str, *, source: str, file: str, scene: dict[str, Any] | 
     text = re.sub(r"^scene:\n(?:[ #].*\n|\n(?=[ #]))*", lambda _: made, text, count=1, flags=re.MULTILINE)
     text = re.sub(r"^name: .*$", f"name: {Path(file).stem}", text, count=1, flags=re.MULTILINE)
     # The first lines tell of the template's own scene.
-    said = f"# Made from the template {name} for a mesh of one's own.\n#   diffshadow fit {file}\n"
+    said = f"# Made from the template {name} for your own mesh.\n#   diffshadow fit {file}\n"
     text = re.sub(r"\A(?:#.*\n)+", lambda _: said, text)
     factor = float(f"{side / _SIDE_OF_TEMPLATES:.2g}")
 

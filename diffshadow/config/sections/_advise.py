@@ -73,7 +73,7 @@ class AdviseConfig(Section):
     within: Annotated[
         float,
         Limits(0, 1),
-        "the cheapest technique is recommended whose RMSE exceeds the least by at most this fraction of it",
+        "the cheapest technique is recommended among those whose RMSE is at most this fraction above the least",
     ] = 0.03
 
     def faults(self) -> Iterator[Conflict]:

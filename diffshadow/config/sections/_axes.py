@@ -93,9 +93,7 @@ class AxesConfig(Section):
     files: Annotated[
         dict[str, str] | None, "patterns such as meshes/*.obj, whose files are combined in order, by dotted key"
     ] = None
-    zip: Annotated[
-        dict[str, Values] | None, "values to step through together, by dotted key; lists of equal length"
-    ] = None
+    zip: Annotated[dict[str, Values] | None, "values that change together, by dotted key; lists of equal length"] = None
     path: Annotated[PathConfig | None, "points along paths, such as a camera's"] = None
     sun: Annotated[SunConfig | None, "azimuth and elevation of scene.light over a day"] = None
     qmc: Annotated[QuasiRandomConfig | None, "quasi-random points"] = None

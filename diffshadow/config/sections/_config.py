@@ -72,9 +72,9 @@ def _folder(output: str) -> str:
 
 
 class FitView(NamedTuple):
-    """A scene that a fit sees, or that it is validated on.
+    """A scene that is fitted, or that validates a fit.
 
-    - `name`: what tells it from the others.
+    - `name`: its name, which no other has.
     - `config`: of a run of its own.
     """
 
@@ -128,7 +128,8 @@ class Config(Section):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was found for parts of the scene that were left to the program, each a sentence without a full stop."""
+        """What the program chose for parts of the scene that the configuration leaves out, each a sentence without a
+        full stop."""
         return self._origin.notes
 
     @property
@@ -149,7 +150,8 @@ class Config(Section):
 
     @property
     def moves(self) -> bool:
-        """Whether the fit draws maps again at every step: it changes lights or meshes, or is to a picture."""
+        """Whether the fit draws maps again at every step: it changes lights or meshes, or its reference is a
+        picture."""
         return self.reference.type == "picture" or any(is_pose(name) for name in self.fit.parameters)
 
     @property
@@ -162,7 +164,7 @@ class Config(Section):
 
         **Arguments:**
 
-        - `bounds`: by name, of fitted numbers, which may have any value within them.
+        - `bounds`: the bounds of fitted numbers, by name.
         """
         section, factors = self.filter, self.bias.factors or ()
         radius = getattr(section, section.radius_key, None)
@@ -190,12 +192,12 @@ class Config(Section):
         return Reach(reach, ("filter", *keys[:1]), False)
 
     def laid_out(self, bounds: Mapping[str, FitParameterConfig]) -> TechniqueConfig:
-        """`technique` with what its layout is drawn for, where that is not given: as much as fitted numbers within
-        `bounds` need."""
+        """`technique` with the size of its layout, if not given: large enough for all fitted numbers within
+        `bounds`."""
         return self.technique.laid_out(self, bounds)
 
     def named_with(self, suffix: str) -> Self:
-        """The configuration with `suffix` behind its name, which is cut where both are too long for a folder."""
+        """The configuration with `suffix` behind its name. The name is cut if both are too long for a folder."""
         name = self.name.encode()[: _LONGEST_NAME - len(suffix.encode())].decode(errors="ignore")
         return self.model_copy(update={"name": f"{name}{suffix}"})
 
@@ -244,7 +246,8 @@ class Config(Section):
 
         **Arguments:**
 
-        - `named`: whether the file names the parameters. Those by default may not suit a file that is only rendered.
+        - `named`: whether the file names the parameters. The default parameters may not suit a file that is only
+            rendered.
         """
         for at, section in self._with_rules():
             if named or at[:2] != ("fit", "parameters"):

@@ -104,8 +104,8 @@ class ShapeConfig(Section, fit.Shape):
 
     start: Annotated[
         MeshConfig | None,
-        "mesh that the fit starts from; default: the scene's casters with images or targets, else what the shadows "
-        "leave of space, made smaller",
+        "mesh that the fit starts from; default: the scene's casters with images or targets, else the shrunk visual "
+        "hull of the shadows",
     ] = None
     images: Annotated[_Files, "the shadow under each light, as the light sees it: dark on white"] = ()
     masks: Annotated[_Files, "how much each pixel of an image counts, from black for not at all to white"] = ()
@@ -115,7 +115,7 @@ class ShapeConfig(Section, fit.Shape):
     ] = ()
     unseen: Annotated[
         Annotated[tuple[LightConfig, ...], Form("a list of lights")],
-        "lights that the fit does not see, for measuring the shape that casts the scene's shadows",
+        "lights that the fit does not see, which only measure the result",
     ] = ()
     phases: Annotated[
         tuple[ShapePhaseConfig, ...], Len(1, 100), Form("a list of phases", "[{strength: 20, rate: 0.1, steps: 150}]")
@@ -130,7 +130,10 @@ class ShapeConfig(Section, fit.Shape):
             yield ("off",), fault("is given without moves", "lights that move", "add moves, or remove off")
         if self.off and self.images:
             expected = "shadows traced under known lights"
-            yield ("off",), fault("is given together with images", expected, "remove it: lights start where they stand")
+            yield (
+                ("off",),
+                fault("is given together with images", expected, "remove it: lights start at their place in the scene"),
+            )
         for key, others in (("images", self.images), ("targets", self.targets)):
             if others and self.unseen:
                 expected = "shadows traced from the scene, since others show no single shape"

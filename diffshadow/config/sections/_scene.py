@@ -257,13 +257,11 @@ class MeshConfig(Section):
     ] = None
     texture_wrap: Annotated[
         Annotated[scene.Wraps, Form(_WRAPS)] | None,
-        "what the texture shows beyond its image: the image again, its border, or its mirror image; default: as the "
-        "mesh file says, or repeat",
+        "wrapping of the texture beyond its image: repeat, clamp or mirror; default: as the mesh file says, or repeat",
     ] = None
     texture_filter: Annotated[
         scene.TexelFilter | None,
-        "what the texture shows between texels: their bilinear mean, or the nearest; default: as the mesh file says, "
-        "or linear",
+        "filter between texels: bilinear, or nearest; default: as the mesh file says, or linear",
     ] = None
     casts: Annotated[
         bool, "whether it casts shadows, or only receives them; reference.blockers can let it block rays"

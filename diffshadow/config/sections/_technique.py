@@ -162,10 +162,10 @@ class CascadesConfig(FittedLayoutConfig, techniques.Cascades):
             return
         resolution, mend = config.shadow_map.resolution, "change it, or remove technique.shares"
         if resolution[0] != resolution[1]:
-            message = f"is {list(resolution)}, and technique.shares are given, for square maps"
+            message = f"is {list(resolution)}, and technique.shares are given, whose maps are square"
             yield ("shadow_map", "resolution"), fault(message, "two equal numbers", mend)
         if config.shadow_map.silhouettes:
-            message = "is true, and technique.shares are given, for maps without silhouettes"
+            message = "is true, and technique.shares are given, whose maps have no silhouettes"
             yield ("shadow_map", "silhouettes"), fault(message, "false", mend)
 
     def faults_of_fit(self, config: "Config", at: KeyPath) -> Iterator[Conflict]:

@@ -14,7 +14,7 @@ from .._own_loss import Seen
 
 
 class AbstractProblem(eqx.Module):
-    """A subject, and how far an image that it draws is from a reference.
+    """A subject, which draws an image, and the difference of this image from a reference.
 
     The subject is the tree of modules whose numbers are fitted: a technique, or an `Arrangement` of a technique, lights
     and meshes. Methods take the subject as an argument, so that a solver may change its numbers.
@@ -28,7 +28,7 @@ class AbstractProblem(eqx.Module):
     @property
     @abc.abstractmethod
     def subject(self) -> Any:
-        """What is fitted, as it stands."""
+        """The fitted object with its current values."""
 
     @property
     @abc.abstractmethod
@@ -54,29 +54,31 @@ class AbstractProblem(eqx.Module):
         """The image, or each of its images, less the reference at the pixels that count, 0 elsewhere."""
 
     def difference_and_overflow(self, subject: Any) -> tuple[Float[Array, "*n h w"], Overflow | None]:
-        """The difference, and instead of an error whether silhouettes are missing, so that it is wrong; none if nothing
-        is drawn that could overflow."""
+        """The difference, and a flag instead of an error: whether silhouettes are missing, so that the difference is
+        wrong. `None` if nothing is drawn that could overflow."""
         return self.difference(subject), None
 
     @abc.abstractmethod
     def seen(self, subject: Any) -> tuple[Seen, Overflow | None]:
-        """What a user's loss compares, and whether silhouettes are missing, as for `difference_and_overflow`."""
+        """The image that a user's loss compares, and whether silhouettes are missing, as for
+        `difference_and_overflow`."""
 
     @abc.abstractmethod
     def compared(self, differences: Float[Array, "n h w"]) -> Float[Array, "n h w"]:
-        """The part of each difference that the fit makes small, such as its blur. Linear."""
+        """The part of each difference that the fit minimises, such as the blurred difference. Linear."""
 
     @abc.abstractmethod
     def laid_out(self, subject: Any) -> "AbstractProblem":
-        """With maps laid out as `subject` says, if they do not follow it in `difference`."""
+        """The same problem with maps in the layout of `subject`, if `difference` does not draw them so."""
 
     @abc.abstractmethod
     def planned(self) -> "AbstractProblem":
-        """With the memory that drawing needs under a trace."""
+        """The same problem with the memory that drawing needs under a trace."""
 
     @abc.abstractmethod
     def padded(self) -> "AbstractProblem":
-        """With its meshes padded to few sizes, so that problems of like size share compiled programs."""
+        """The same problem with its meshes padded to a few sizes, so that problems of similar size share compiled
+        programs."""
 
 
 def any_overflow(found: Sequence[Overflow | None]) -> Overflow:

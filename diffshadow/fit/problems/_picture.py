@@ -25,19 +25,19 @@ _MORE_PIECES = 2.0
 
 
 class PictureProblem(ArrangedProblem):
-    """An arrangement, a picture of the scene lit by all of its lights, and all that a fit leaves alone.
+    """An arrangement, a picture of the scene under all of its lights, and everything that the fit does not change.
 
     Paths lead to numbers of camera, lights, meshes, colours and technique: `camera.turn.y`, `lights.0.azimuth`,
     `meshes.0.albedo.red`, `shading.intensities.1.green`, `exposure`. The three channels are compared as three images.
 
     - `arrangement`: whose numbers are fitted.
-    - `scene`: meshes, camera and lights as they stand before the arrangement moves them.
+    - `scene`: meshes, camera and lights before the arrangement moves them.
     - `reference`: (h, w, 3), the picture.
-    - `weight`: (h, w), how much each pixel counts; 0 or 1, or between where it stands for several.
-    - `encoding`: of the reference. What is drawn is encoded alike: as sRGB, it is cut off beyond 0 and 1.
+    - `weight`: (h, w), the weight of each pixel: 0 or 1, or in between if the pixel is a mean over several.
+    - `encoding`: of the reference. The drawn picture is encoded in the same way. As sRGB, it is clipped to 0 and 1.
     - `settings`: how maps are drawn. Only with silhouettes do derivatives see the shadow's outline move.
-    - `surface`: what the camera sees; none to draw it again at every step, which is needed where camera or meshes move
-        or change their colour.
+    - `surface`: the surface that the camera sees; `None` to draw it again at every step, which is needed if the camera
+        or meshes move or meshes change their colour.
     - `plan`: as for `draw_antialiased`; `crossings`: of each light's map, as for `draw_shadow_map`. `planned` finds
         both.
     - `edges`, `blur`, `shift`, `shadow_points`: as for `PoseProblem`.
@@ -85,12 +85,12 @@ class PictureProblem(ArrangedProblem):
 
         - `technique`: its `map` says how maps are drawn; with silhouettes unless it sets them to `False`.
         - `picture`: (h, w, 3), as large as the camera's image. Row 0 is the bottom row.
-        - `shading`: of the scene; the default one of `Phong` if left out. Its `intensities` are fitted one by one.
+        - `shading`: the scene's shading; by default `Phong()`. Its `intensities` are fitted one by one.
         - `mask`: (h, w), the pixels that count; all if left out.
-        - `encoding`: of the picture; `exposure`: by how many stops what is drawn is lightened.
-        - `arrangement`: what is fitted, if not all as it stands in the scene, with its own shading and exposure.
-        - `surface`: what the camera sees, if neither it nor meshes move or change their colour. Left out, it is drawn
-            again at every step.
+        - `encoding`: of the picture; `exposure`: by how many stops the drawn picture is brightened.
+        - `arrangement`: the start, with its own shading and exposure; by default all values of the scene.
+        - `surface`: the surface that the camera sees, if neither the camera nor meshes move and no mesh changes its
+            colour. Left out, it is drawn again at every step.
         - `points`: `shadow_points`; chosen by the width of a texel if left out.
 
         **Raises** `ValueError` for a picture of another size, or that is not finite where it counts.
@@ -131,13 +131,13 @@ class PictureProblem(ArrangedProblem):
         return weighted_difference(_channels(self.picture(subject)), _channels(self.reference), self.weight)
 
     def difference_and_overflow(self, subject: Arrangement) -> tuple[Float[Array, "3 h w"], Overflow | None]:
-        """The difference, and instead of an error whether outlines or silhouettes are missing."""
+        """The difference, and a flag instead of an error: whether outlines or silhouettes are missing."""
         maps, seen, camera = self.draw(subject, raises=False)
         image = _channels(self.image(maps, seen, camera, subject))
         return weighted_difference(image, _channels(self.reference), self.weight), _overflow(maps, seen)
 
     def seen(self, subject: Arrangement) -> tuple[Seen, Overflow | None]:
-        """What a user's loss compares, three channels, and whether outlines or silhouettes are missing."""
+        """The three channels that a user's loss compares, and whether outlines or silhouettes are missing."""
         maps, seen, camera = self.draw(subject, raises=False)
         image = _channels(self.image(maps, seen, camera, subject))
         mask = jnp.broadcast_to(self.weight > 0, image.shape)
@@ -153,7 +153,7 @@ class PictureProblem(ArrangedProblem):
     def image(
         self, maps: list[ShadowMap], seen: AntialiasedSurface, camera: AbstractCamera, arrangement: Arrangement
     ) -> Float[Array, "h w 3"]:
-        """The picture of an arrangement that has been drawn."""
+        """The picture of an arrangement whose maps and surface are drawn already."""
         points = _points(seen, camera, self.shadow_points)
         visibility = [
             _over_pixels(seen, arrangement.technique.visibility(each, points), self.shadow_points) for each in maps
@@ -163,7 +163,7 @@ class PictureProblem(ArrangedProblem):
     def draw(
         self, arrangement: Arrangement, *, raises: bool = True
     ) -> tuple[list[ShadowMap], AntialiasedSurface, AbstractCamera]:
-        """The maps of all lights, what the camera sees, and the camera.
+        """The maps of all lights, the surface that the camera sees, and the camera.
 
         **Arguments:** `raises` as for `draw_shadow_map`.
         """
@@ -179,7 +179,8 @@ class PictureProblem(ArrangedProblem):
         return maps, seen, camera
 
     def planned(self) -> "PictureProblem":
-        """With memory for several times the outlines and silhouettes of its arrangement, and no less than before."""
+        """The same problem with memory for several times the outlines and silhouettes of its arrangement, and at least
+        as much as before."""
         casters, lights, every, camera = _arranged(self.scene, self.arrangement)
         edges, plan, surface = self.edges_of_casters(), self.plan, None
         if self.surface is not None:
@@ -199,7 +200,7 @@ class PictureProblem(ArrangedProblem):
         return dataclasses.replace(planned, crossings=tuple(crossings))
 
     def with_memory_of(self, other: "PictureProblem") -> "PictureProblem":
-        """With as much memory for outlines and silhouettes as `other`."""
+        """The same problem with as much memory for outlines and silhouettes as `other`."""
         return dataclasses.replace(self, plan=other.plan, crossings=other.crossings, edges=other.edges)
 
     def padded(self) -> "PictureProblem":

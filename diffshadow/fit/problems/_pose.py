@@ -20,23 +20,24 @@ from ._arranged import ArrangedProblem, points_for, points_of, weighted_differen
 
 
 class PoseProblem(ArrangedProblem):
-    """An arrangement, its target under one of its lights, and all that a fit leaves alone.
+    """An arrangement, its target under one of its lights, and everything that the fit does not change.
 
     - `arrangement`: whose numbers are fitted.
-    - `scene`: the meshes and the camera, and one light, as they stand before the arrangement moves them.
-    - `index`: which of the arrangement's lights that is.
+    - `scene`: the meshes, the camera and one light, before the arrangement moves them.
+    - `index`: the number of this light in the arrangement.
     - `reference`: (h, w), visibility in [0, 1], times `cone_fraction`.
-    - `weight`: (h, w), how much each pixel counts; 0 or 1, or between where it stands for several.
+    - `weight`: (h, w), the weight of each pixel: 0 or 1, or in between if the pixel is a mean over several.
     - `settings`: how the map is drawn. Only with silhouettes do derivatives see the shadow's outline move.
-    - `surface`: what the camera sees; none to draw it again at every step, which is needed where meshes in sight move.
+    - `surface`: the surface that the camera sees; `None` to draw it again at every step, which is needed if visible
+        meshes move.
     - `crossings`: as for `draw_shadow_map`; `planned` finds it.
     - `edges`: of the casters. `planned` finds them if the settings ask for silhouettes.
-    - `blur`: standard deviation, in pixels, of the Gaussian under which differences are compared; 0 for none. It should
-        cover a texel of the map as the camera sees it.
-    - `shift`: (2,), how far the map's grid of texels is moved, as for `draw_shadow_map`; none to leave it in place.
-        Maps with a warp, with pages or with cascades of several sizes have no such grid, and are drawn without.
-    - `shadow_points`: visibility is the mean over so many points within each pixel. `of` takes the more, the wider a
-        pixel is in texels of the map: where an outline is narrower than a pixel, most pixels along it have no
+    - `blur`: standard deviation, in pixels, of the Gaussian under which differences are compared; 0 for none. The blur
+        should cover a texel of the map, as seen by the camera.
+    - `shift`: (2,), a shift of the map's grid of texels, as for `draw_shadow_map`; `None` for no shift. Maps with a
+        warp, with pages or with cascades of several sizes have no such grid, and are not shifted.
+    - `shadow_points`: visibility is the mean over so many points within each pixel. `of` chooses more points for wider
+        pixels, measured in texels of the map. If an outline is narrower than a pixel, most pixels along it have no
         derivative at their centre.
 
     !!! Example
@@ -77,11 +78,12 @@ class PoseProblem(ArrangedProblem):
         **Arguments:**
 
         - `technique`: its `map` says how the map is drawn; with silhouettes unless it sets them to `False`.
-        - `truth`: the reference of `scene.lit_by(light)`. A traced one is multiplied by `cone_fraction`, since rays do
-            not see the cone of a spot light.
+        - `truth`: the reference of `scene.lit_by(light)`. A traced reference is multiplied by `cone_fraction`, since
+            rays ignore the cone of a spot light.
         - `light`: which of the scene's lights.
-        - `arrangement`: what is fitted, if not `technique`, lights and meshes as they stand in the scene.
-        - `surface`: what the camera sees, if no mesh in its sight moves. Left out, it is drawn again at every step.
+        - `arrangement`: the start; by default `technique` with the lights and meshes of the scene.
+        - `surface`: the surface that the camera sees, if no visible mesh moves. Left out, it is drawn again at every
+            step.
         - `points`: `shadow_points`; chosen by the width of a texel if left out.
         """
         lit = scene.lit_by(light)
@@ -106,7 +108,7 @@ class PoseProblem(ArrangedProblem):
         return jnp.sum(self.weight)
 
     def image(self, shadow_map: ShadowMap, surface: Surface, technique: ShadowMapping) -> Visibility:
-        """What is compared with the reference, (h, w): visibility times the cone's fraction."""
+        """The image that is compared with the reference, (h, w): visibility times the cone's fraction."""
         points = _points_of(surface, self.scene.camera, self.shadow_points)
         visibility = technique.visibility(shadow_map, points.surface)
         return _mean_over(points, visibility, shadow_map.light)
@@ -116,12 +118,13 @@ class PoseProblem(ArrangedProblem):
         return self._difference(subject, *self.draw(subject))
 
     def difference_and_overflow(self, subject: Arrangement) -> tuple[Float[Array, "h w"], Overflow | None]:
-        """The difference, and instead of an error whether silhouettes are missing from its map."""
+        """The difference, and a flag instead of an error: whether silhouettes are missing from the map."""
         shadow_map, surface = self.draw(subject, raises=False)
         return self._difference(subject, shadow_map, surface), shadow_map.overflow
 
     def seen(self, subject: Arrangement) -> tuple[Seen, Overflow | None]:
-        """What a user's loss compares, and instead of an error whether silhouettes are missing from its map."""
+        """The image that a user's loss compares, and a flag instead of an error: whether silhouettes are missing from
+        the map."""
         shadow_map, surface = self.draw(subject, raises=False)
         image = self.image(shadow_map, surface, subject.technique)
         return _seen(image, self.reference, self.weight), shadow_map.overflow
@@ -137,7 +140,8 @@ class PoseProblem(ArrangedProblem):
         return self.draw_map(casters, light, camera, technique, surface, self.crossings, raises=raises), surface
 
     def planned(self) -> "PoseProblem":
-        """With memory for several times the silhouettes of its arrangement, and no less than before."""
+        """The same problem with memory for several times the silhouettes of its arrangement, and at least as much as
+        before."""
         edges, camera = self.edges_of_casters(), self.scene.camera
         if edges is None:
             return self
@@ -149,11 +153,12 @@ class PoseProblem(ArrangedProblem):
         return dataclasses.replace(self, crossings=crossings, edges=edges)
 
     def with_memory_of(self, other: "PoseProblem") -> "PoseProblem":
-        """With as much memory for silhouettes as `other`."""
+        """The same problem with as much memory for silhouettes as `other`."""
         return dataclasses.replace(self, crossings=other.crossings, edges=other.edges)
 
     def padded(self) -> "PoseProblem":
-        """With its meshes padded to few sizes, so that problems of like size share compiled programs."""
+        """The same problem with its meshes padded to a few sizes, so that problems of similar size share compiled
+        programs."""
         own, meshes = self.scene.meshes, self.padded_meshes()
         scene = dataclasses.replace(self.scene, meshes=meshes)
         if self.edges is None:

@@ -31,9 +31,9 @@ _CROSSINGS_PER_SIDE = 8
 class ShapeView(eqx.Module):
     """A shadow of a shape: the light, the surface that the shadow falls on, and how it should look there.
 
-    - `light`: its shadow map must contain the shape at all times: its frustum does not follow.
-    - `moves`: whether the light's position and direction are fitted too. Some of the views' lights should stay: a shape
-        and all of its lights may be turned and stretched together without a change to the shadows.
+    - `light`: its shadow map must contain the shape during the whole fit, since its frustum does not move.
+    - `moves`: whether the light's position and direction are fitted too. Some of the views' lights should be fixed,
+        since a shape and all of its lights can be turned and stretched together without a change of the shadows.
     - `surface`: (h, w), where the shadow falls. It does not move, and casts no shadow itself.
     - `reference`: (h, w), visibility in [0, 1]: 1 lit, 0 shadowed.
     - `weight`: (h, w), how much each pixel counts, 0 or more.
@@ -87,10 +87,11 @@ class ShapeView(eqx.Module):
 class ShapeProblem(eqx.Module):
     """A mesh whose vertices are fitted, so that its shadows are like several images.
 
-    - `mesh`: where the fit starts: all that casts, closed or open. Vertices at one place must be one vertex.
+    - `mesh`: the start: all casters, closed or open. Vertices at one place must be one vertex.
     - `views`: its shadows.
-    - `free`: (v,), which vertices move; all if left out. The others may be a pinned base, or other casters.
-    - `symmetry`: (a, b, c, d), a plane a x + b y + c z = d. The shape stays its own mirror image, as the start must be.
+    - `free`: (v,), whether each vertex moves; all if left out. Fixed vertices may be a pinned base, or other casters.
+    - `symmetry`: (a, b, c, d), a plane a x + b y + c z = d. The shape remains symmetric across this plane. The start
+        must be symmetric too.
     - `technique`: how shadows are drawn. Its map has silhouettes, which give vertices their derivatives. By default, an
         image's pixel is the mean over one texel of a map of the first reference's size.
 

@@ -24,15 +24,15 @@ _TILE = 16
 
 
 class TechniqueProblem(AbstractProblem):
-    """A technique, its target, and all that a fit leaves alone.
+    """A technique, its target, and everything that the fit does not change.
 
     - `technique`: whose numbers are fitted.
-    - `shadow_map`, `surface`: what it looks at. Neither depends on bias or filter. The map is drawn again only where
-        a number of its layout is fitted.
+    - `shadow_map`, `surface`: the inputs of the technique. Neither depends on bias or filter. The map is drawn again
+        only if a number of its layout is fitted.
     - `reference`: (h, w), visibility in [0, 1].
     - `mask`: (h, w), the pixels that count.
     - `scene`: with one light; needed only if a number of the map's layout is fitted.
-    - `weight`: how many pixels each stands for, one number or (h, w); more than 1 in a sample of them.
+    - `weight`: how many pixels each pixel represents, one number or (h, w); more than 1 in a sample of the pixels.
     - `factor`: of all squared differences; in a sample, it corrects their sum.
 
     !!! Example
@@ -55,13 +55,13 @@ class TechniqueProblem(AbstractProblem):
     def of(
         cls, scene: Scene, technique: FittableTechnique, truth: Reference, *, surface: Surface | None = None
     ) -> "TechniqueProblem":
-        """`technique`, and its map and surface of a scene with one light, against that scene's reference.
+        """A problem of `technique` in a scene with one light, against the reference of this scene.
 
         The pixels that count are those where the reference has a surface that lies within the light's frustum.
 
         **Arguments:**
 
-        - `surface`: what the camera sees; drawn if left out.
+        - `surface`: the surface that the camera sees; drawn if left out.
         """
         check_instance("the truth", truth, Reference, "a Reference, such as trace_visibility(scene)")
         surface = draw_surface(scene.mesh, scene.camera) if surface is None else surface
@@ -86,12 +86,13 @@ class TechniqueProblem(AbstractProblem):
         return jnp.sum(self.residual(technique) ** 2)
 
     def difference(self, subject: FittableTechnique) -> Float[Array, "h w"]:
-        """Visibility less reference at the pixels that count, 0 elsewhere, times the root of its weight and factor."""
+        """Visibility less reference at the pixels that count, 0 elsewhere, times the square root of weight and
+        factor."""
         visibility = subject.visibility(self.shadow_map, self.surface)
         return _weighted(visibility, self.reference, self.mask, self.weight, self.factor)
 
     def seen(self, subject: FittableTechnique) -> tuple[Seen, None]:
-        """What a user's loss compares. Nothing is drawn that could overflow."""
+        """What a user's loss compares. Nothing can overflow, since nothing is drawn."""
         return _seen(subject.visibility(self.shadow_map, self.surface), self.reference, self.mask), None
 
     def compared(self, differences: Float[Array, "n h w"]) -> Float[Array, "n h w"]:
@@ -103,7 +104,7 @@ class TechniqueProblem(AbstractProblem):
         return subject
 
     def laid_out(self, subject: FittableTechnique) -> "TechniqueProblem":
-        """With the map that `subject` draws, if it is another one. The pixels that count are the same.
+        """The same problem with the map that `subject` draws, if it differs. The pixels that count are the same.
 
         **Raises** `ValueError` if there is no scene to draw it from, or the technique does not suit it.
         """
@@ -124,12 +125,13 @@ class TechniqueProblem(AbstractProblem):
         return self
 
     def sampled(self, count: int, seed: int) -> "TechniqueProblem":
-        """With about `count` of the pixels that count, at least one for each place in a tile of `_TILE` x `_TILE`.
+        """The same problem with about `count` of the pixels that count, and at least one for each place in a tile of
+        `_TILE` x `_TILE`.
 
         A pixel keeps its place in the tile, and so its taps, unless the filter's pattern is rotated at each pixel or
         its tile does not divide these. The pixels of each place are drawn at random, one from each of as many runs of
-        equal length in the image's order. Each stands for its run, so the expected mean square error equals the whole
-        image's. Where fewer pixels count, all of them are taken.
+        equal length in the image's order. Each pixel represents its run, so the expected mean square error equals the
+        error of the whole image. If fewer pixels count, all of them are kept.
         """
         runs, places = _runs(count / _TILE**2), _TILE**2
         counting = np.flatnonzero(np.asarray(self.mask))
@@ -157,7 +159,7 @@ class TechniqueProblem(AbstractProblem):
         )
 
     def padded(self) -> "TechniqueProblem":
-        """Without the scene, which no program reads."""
+        """The same problem without the scene, which no program reads."""
         return dataclasses.replace(self, scene=None)
 
     @property

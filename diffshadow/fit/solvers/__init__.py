@@ -1,4 +1,4 @@
-"""Solvers of least squares: settings, and what optimistix does not have."""
+"""Least-squares solvers: settings, and solvers that optimistix lacks."""
 
 from ._adam import Adam as Adam
 from ._levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt

@@ -26,15 +26,16 @@ class Solver(CheckedModule):
 
     - `name`: `"levenberg_marquardt"`, `"dogleg"`, `"bfgs"`, `"lbfgs"` or `"adam"`.
     - `max_steps`: of each phase.
-    - `rtol`, `atol`: a phase ends when both parameters and loss change by less. Levenberg-Marquardt also ends where,
-        after a step that did not help, the next would change all parameters by less.
-    - `learning_rate`: of Adam: the length of its first steps, where the distance between the bounds is pi.
+    - `rtol`, `atol`: a phase ends when both parameters and loss change by less than these tolerances.
+        Levenberg-Marquardt also ends after a step that did not help, if the next step would change all parameters by
+        less.
+    - `learning_rate`: the length of Adam's first steps, if the distance between the bounds is pi.
     - `noise`: fraction of the loss by which it jumps as parameters change a little. Levenberg-Marquardt accepts steps
-        within it, and of phases whose ends differ by less, the last is the result. Left out, it is 0 for a technique
-        and 0.25 where lights or meshes move, since pixels then jump from lit to shadowed and back.
-    - `method`: any least-squares solver or minimiser of optimistix, in place of the one called `name`. It has its own
-        tolerances; of the other fields, `max_steps` and `noise` hold for it, and the latter only for the choice between
-        phases.
+        that raise the loss by less. If the ends of phases differ by less, the last phase is the result. By default it
+        is 0 for a technique, and 0.25 if lights or meshes move, since pixels then jump from lit to shadowed and back.
+    - `method`: any least-squares solver or minimiser of optimistix, instead of the solver called `name`. Such a method
+        has its own tolerances. Of the other fields, only `max_steps` and `noise` apply to it, and `noise` only to the
+        choice between phases.
 
     !!! Example
 
@@ -56,7 +57,8 @@ class Solver(CheckedModule):
 
     @classmethod
     def of(cls, solver: Any) -> "Solver":
-        """A solver as it is, one of optimistix with the default number of steps, and the default for none.
+        """Returns a `Solver` unchanged, wraps a solver of optimistix with the default number of steps, and returns the
+        default for `None`.
 
         **Raises** `TypeError` for any other object.
         """
@@ -80,11 +82,11 @@ class Solver(CheckedModule):
 
     @property
     def title(self) -> str:
-        """What to call it in messages."""
+        """Its name in messages."""
         return self.name if self.method is None else f"optimistix' {type(self.method).__name__}"
 
     def for_problem(self, moves: bool) -> "Solver":
-        """With the noise of a problem in which lights or meshes move, or do not."""
+        """The solver with the default noise: depending on whether lights or meshes move."""
         return self if self.noise is not None else dataclasses.replace(self, noise=_NOISE_OF_POSES if moves else 0.0)
 
 

@@ -35,15 +35,15 @@ class AbstractLight(CheckedModule):
 
         - `points`: (..., 3), world units.
         - `sample`: (..., 2), for each point, a sample of the light's `domain`, which selects a point on the light.
-            Samples uniform over the domain are uniform over the light's area, or over its visible disk. The centre if
-            left out.
+            Samples uniform over the domain are uniform over the light's area, or over its visible disk. By default the
+            centre.
 
         **Returns:** (..., 3). For a light at a finite distance, the vector to it in world units; for a directional
         light, a vector of arbitrary length towards it.
         """
 
     def layer(self, points: Float[Array, "*n 3"]) -> Int[Array, "*n"] | None:
-        """Which of its views sees each of `points`; `None` for a light with one view."""
+        """The index of the view that sees each of `points`; `None` for a light with one view."""
         return None
 
     def cone_fraction(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
@@ -52,11 +52,11 @@ class AbstractLight(CheckedModule):
         return jnp.ones(points.shape[:-1])
 
     def pose(self) -> LightPose:
-        """The light's pose; all fields are none for a light whose pose cannot be fitted."""
+        """The light's pose; all fields are `None` for a light whose pose cannot be fitted."""
         return LightPose()
 
     def at(self, pose: LightPose) -> "AbstractLight":
-        """The same light in another `pose`. The frustum of its shadow map does not follow: see `refitted`."""
+        """The same light in another `pose`. The frustum of its shadow map does not move: see `refitted`."""
         return self
 
     def refitted(self, points: Float[Array, "n 3"]) -> "AbstractLight":

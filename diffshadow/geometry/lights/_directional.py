@@ -77,8 +77,8 @@ class DirectionalLight(AbstractLight):
     ) -> "DirectionalLight":
         """The light along `direction` whose shadow map tightly bounds `points` (n, 3).
 
-        With `receivers` (m, 3) its box is made deep enough for them too, but not wider: if `points` are the casters, no
-        texels are spent on surfaces that only receive.
+        With `receivers` (m, 3), the box is deep enough for the receivers too, but not wider. If `points` are the
+        casters, no texels are spent on surfaces that only receive.
         """
         direction, up = as_float(direction), as_float(UP if up is None else up)
         check_direction("the directional light", direction)

@@ -94,8 +94,8 @@ class PointLight(AbstractLight):
         return PointLight(self.position, tight.near, tight.far, self.radius, self.guard)
 
     def guard_texels(self, resolution: Resolution) -> float:
-        """How far from the receiver's texel position a tap may be without reaching the border, in texels of faces of
-        `resolution`. Only for concrete lights."""
+        """The greatest distance of a tap from the receiver's texel position at which the tap stays within the border,
+        in texels of faces of `resolution`. Only for concrete lights."""
         guard = float(self.guard)
         return guard / (1 + guard) * min(resolution) / 2
 

@@ -15,16 +15,17 @@ Vector = tuple[float, float, float]
 class SceneMesh(NamedTuple):
     """Triangles with one material.
 
-    - `vertices`, `normals`: (v, 3), world units and unit vectors; the normals are none if the file has none.
+    - `vertices`, `normals`: (v, 3), world units and unit vectors; the normals are `None` if the file has no normals.
     - `faces`: (f, 3), indices into `vertices`.
-    - `side`, `shadow_side`: which faces are drawn, and which into shadow maps; none if the engine chooses.
+    - `side`, `shadow_side`: the faces that are drawn, and the faces that are drawn into shadow maps; `None` if the
+        engine chooses.
     - `casts`, `receives`: whether it casts and receives shadows.
     - `layers`: bits of the layers it is in.
     - `colour`: diffuse, each component in [0, 1].
     - `emits`: whether its material shines, or is drawn as if it did.
-    - `colours`: (v, 3), linear, of the vertices; none if they have none.
-    - `uv`, `texture`: (v, 2), texture coordinates, and the texture that `colour` is multiplied by; or none.
-    - `alpha`: (v,), of the vertices, which the texture's alpha test multiplies by its alpha; none if all are 1.
+    - `colours`: (v, 3), linear, of the vertices; `None` if they have no colours.
+    - `uv`, `texture`: (v, 2), texture coordinates, and the texture that `colour` is multiplied by; or `None`.
+    - `alpha`: (v,), of the vertices, which the alpha test multiplies by the texture's alpha; `None` if all are 1.
     """
 
     name: str
@@ -48,10 +49,10 @@ class SceneCamera(NamedTuple):
     """A camera.
 
     - `eye`, `forward`, `up`: its position in world units, and unit vectors.
-    - `fov_y`: full vertical field of view in degrees; none of a parallel camera.
-    - `height`: of what a parallel camera sees, world units.
-    - `aspect`: width over height; none if the file does not say.
-    - `near`, `far`: world units; far is none if there is no far plane.
+    - `fov_y`: full vertical field of view in degrees; `None` for a parallel camera.
+    - `height`: the height of a parallel camera's view, world units.
+    - `aspect`: width over height; `None` if the file does not say.
+    - `near`, `far`: world units; `far` is `None` if there is no far plane.
     - `layers`: bits of the layers it sees.
     """
 
@@ -97,9 +98,9 @@ class SceneLight(NamedTuple):
     """A light.
 
     - `position`, `direction`: world units, and the direction in which it shines, of any length but 0; a point light has
-      none.
+        no direction.
     - `inner_angle`, `outer_angle`: degrees, of a spot light's cone.
-    - `casts`: whether it casts shadows; `shadow`: their settings, none if the file has none.
+    - `casts`: whether it casts shadows; `shadow`: the settings of its shadows, `None` if the file has no settings.
     - `layers`: bits of the layers it is in.
     """
 
@@ -118,8 +119,8 @@ class SceneFile(NamedTuple):
     """A scene.
 
     - `meshes`, `cameras`, `lights`: in the order of the file.
-    - `engine`: the engine that the settings are of.
-    - `remarks`: what was left out or taken otherwise than it is, each a sentence without a full stop.
+    - `engine`: the engine whose settings these are.
+    - `remarks`: what was left out or changed, each a sentence without a full stop.
     - `left_out`: how many meshes, or parts of meshes, were left out; `remarks` say why.
     """
 

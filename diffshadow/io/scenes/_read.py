@@ -25,10 +25,10 @@ from ._three_json import read_three
 
 
 def read_scene(path: str | os.PathLike[str]) -> SceneFile:
-    """Reads a scene: a JSON file of three.js (`scene.toJSON()`, or its editor's), GLB, glTF 2.0, or any mesh file.
+    """Reads a scene: a JSON file of three.js (from `scene.toJSON()` or its editor), GLB, glTF 2.0, or any mesh file.
 
-    The content decides which of the first three it is. A mesh file has no camera and no light. It is turned if its `z`
-    is up.
+    JSON, GLB and glTF are recognised by their content. A mesh file has no camera and no light. It is turned upright if
+    its `z` is up.
 
     **Raises** `FileError` if the file is missing, damaged, or none of these.
     """

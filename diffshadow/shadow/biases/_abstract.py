@@ -15,13 +15,13 @@ from .._shader import ShaderBias
 
 
 class BiasTerms(eqx.Module):
-    """What a bias does to a look-up. Terms of several biases can be added.
+    """The changes that a bias makes to a look-up. Terms of several biases can be added.
 
     - `depth`: (h, w), subtracted from the receiver's window depth.
-    - `displacement`: (h, w, 3), added to the receiver's position before projection, in world units; or none.
+    - `displacement`: (h, w, 3), added to the receiver's position before projection, in world units; or `None`.
     - `follows_plane`: whether each tap compares with the depth of the receiver plane at its own texel.
-    - `deepening`: (h, w), upper bound on that depth relative to the receiver's, in window depth; none for no bound. A
-        sum has the smaller bound.
+    - `deepening`: (h, w), upper bound on the plane's depth relative to the receiver's depth, in window depth; `None`
+        for no bound. A sum has the smaller bound.
     """
 
     depth: Float[Array, "h w"]

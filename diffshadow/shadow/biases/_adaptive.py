@@ -21,11 +21,11 @@ class AdaptiveBias(AbstractBias):
     than the receiver, no bias is needed. On a plane with depth slopes `g_x` and `g_y` the bias is at most
     `(|g_x| + |g_y|) / 2` texels, reached in the corners of a texel; a constant bias needs this maximum everywhere.
 
-    It is made for one nearest look-up. Wider kernels read other texels too: they need a `ReceiverPlane`.
+    Use it with a single nearest look-up. Wider kernels read other texels too: they need a `ReceiverPlane`.
 
-    - `epsilon`: added, in texels. It is the paper's adaptive epsilon, a length converted to window depth at the
-        receiver; the paper's length is a fraction of the scene's size, here it is a fraction of a texel. Rounding is
-        covered separately (`Receiver.rounding`).
+    - `epsilon`: added, in texels. It is the paper's adaptive epsilon, a length that is converted to window depth at the
+        receiver. In the paper, the length is a fraction of the scene's size; here it is a fraction of a texel. Rounding
+        is covered separately (`Receiver.rounding`).
     """
 
     settings: ClassVar = Settings

@@ -18,7 +18,7 @@ from ._features import FEATURES
 class LinearBias(AbstractBias):
     """`max(0, Σ weight · feature)`, in texels along the light's axis.
 
-    A constant and a slope bias of tangent are the terms `one` and `slope`.
+    The term `one` is a constant bias, and the term `slope` is a slope bias with the profile `"tangent"`.
 
     - `weights`: by the feature's name, in texels per unit of the feature; of any sign. Features:
         - `one`: 1;
@@ -26,8 +26,8 @@ class LinearBias(AbstractBias):
         - `sine`, `one_minus_cosine`: sin θ and 1 - cos θ, with θ the angle between normal and light;
         - `texel_size`: the width of a texel at the receiver, in percent of the map's depth range;
         - `distance`: along the light's axis, 0 at the map's near plane and 1 at its far plane;
-        - `blocker_distance`: how far in front of the receiver the map's depth at its own texel is, in texels, from 0 to
-            16.
+        - `blocker_distance`: how far the map's depth at the receiver's texel lies in front of the receiver, in texels,
+            from 0 to 16.
 
     **Raises** `ValueError` if there is none, one has another name, or a weight is out of its range.
 
@@ -64,7 +64,7 @@ class LinearBias(AbstractBias):
         return ShaderBias(part, (shader_of_length(f"max({total}, 0.0)", "texels"),))
 
     def shader_total(self, prefix: str) -> tuple[ShaderPart, str]:
-        """The weights, and the expression of `total`."""
+        """The weights, and the expression for `total`."""
         names = [name for name in FEATURES if name in self.weights]
         weight = lambda name: f"{prefix}WEIGHT_OF_{name.upper()}"
         constants = tuple(

@@ -26,7 +26,7 @@ class PerceptronBias(AbstractBias):
     """A linear bias and a perceptron that corrects it, `max(0, linear + wₙ · tanh(... tanh(W₁ x + b₁) ...))`, in texels
     along the light's axis.
 
-    The perceptron's inputs are the features of the linear terms but `one`, each squashed to `x = f / (1 + f)`.
+    The perceptron's inputs are the features of the linear terms except `one`, each squashed to `x = f / (1 + f)`.
 
     - `linear`: the linear terms.
     - `hidden`: the hidden layers, from the first; of each, `weight` (out, in) and `bias` (out,).
@@ -42,7 +42,8 @@ class PerceptronBias(AbstractBias):
 
     @classmethod
     def correcting(cls, linear: LinearBias, sizes: Sequence[int] = (8,), seed: int = 0) -> "PerceptronBias":
-        """A perceptron that gives what `linear` gives: its last weights are 0, and its hidden layers' weights random.
+        """A perceptron with the same result as `linear`: its last weights are 0, and the weights of its hidden layers
+        are random.
 
         **Arguments:**
 
@@ -65,7 +66,7 @@ class PerceptronBias(AbstractBias):
         hidden: Sequence[tuple[Sequence[Sequence[float]], Sequence[float]]],
         last: Sequence[float],
     ) -> "PerceptronBias":
-        """The perceptron with these numbers: of each hidden layer its weights, row by row, and its biases.
+        """The perceptron with these numbers: for each hidden layer the weights, row by row, and the biases.
 
         **Raises** as the class does, and if rows of weights differ in length.
         """

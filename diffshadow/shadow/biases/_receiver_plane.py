@@ -17,20 +17,20 @@ class ReceiverPlane(AbstractBias):
     """Receiver plane depth bias: each tap compares with the depth of the receiver's plane at the tap, so that a planar
     receiver does not shadow itself under a filter of any width.
 
-    The plane is evaluated at the centre of each tap's texel, which is where the map sampled its depth. Both depths then
-    belong to the same point of the plane, and only rounding remains to be covered (`Receiver.rounding`). Other
-    implementations evaluate the plane at the tap itself and are wrong by up to half a texel. They subtract the
-    fractional sampling error (Isidoro 2006), `min(Σ texel · |dz/duv|, 0.01)`, which is not needed here but available
-    as `fudge` and `limit`.
+    The plane is evaluated at the centre of each tap's texel, where the map sampled its depth. Both depths then belong
+    to the same point of the plane, and only rounding remains to be covered (`Receiver.rounding`). Other implementations
+    evaluate the plane at the tap itself and are wrong by up to half a texel. They subtract the fractional sampling
+    error (Isidoro 2006), `min(Σ texel · |dz/duv|, 0.01)`, which is not needed here but available as `fudge` and
+    `limit`.
 
     - `fudge`: scale of the fractional sampling error, `|g_x| + |g_y|` texels with `g` the depth slopes along the map's
         axes. Other implementations use 1.
-    - `limit`: upper bound on the fractional sampling error times `fudge`, in texels; none for no bound.
-    - `deepening`: upper bound on the plane's depth at a tap relative to the receiver's, in texels; none for no bound.
-        The plane of a steep wall runs far below the floor at its foot, and so the floor shadows the wall wherever the
-        kernel reaches the floor. 0 prevents this without acne, but leaks a little light where something touches the
-        wall. A lower bound is not needed: a plane in front of the actual surface can only add light. Slopes are clamped
-        at 89.4°.
+    - `limit`: upper bound on the fractional sampling error times `fudge`, in texels; `None` for no bound.
+    - `deepening`: upper bound on the plane's depth at a tap relative to the receiver's depth, in texels; `None` for no
+        bound. The plane of a steep wall runs far below the floor at its foot, and so the floor shadows the wall
+        wherever the kernel reaches the floor. 0 prevents this without acne, but leaks a little light where something
+        touches the wall. A lower bound is not needed: a plane in front of the actual surface can only add light. Slopes
+        are clamped at 89.4°.
     """
 
     settings: ClassVar = Settings

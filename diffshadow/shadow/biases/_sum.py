@@ -21,16 +21,16 @@ from ._slope import SlopeBias
 class Bias(AbstractBias):
     """The bias of a shadow mapping: the sum of constant bias, slope bias, normal offset and others.
 
-    It is a bias (`AbstractBias`) like each of its parts, and adds them up: `Bias(constant=1.0, slope=2.0)` is a
-    `ConstantBias(1.0)` and a `SlopeBias(2.0)`. A part alone, or a bias of your own, can stand in its place. Its numbers
-    are `bias.constant`, `bias.slope` and so on for a fit.
+    It is a bias (`AbstractBias`) itself, and adds up its parts: `Bias(constant=1.0, slope=2.0)` is a
+    `ConstantBias(1.0)` and a `SlopeBias(2.0)`. A single part, or a bias of your own, can be used instead of the sum.
+    For a fit, its numbers are called `bias.constant`, `bias.slope` and so on.
 
-    - `constant`, `slope`, `normal_offset`: a number of texels, or a bias module; none if left out. (A configuration
-        that says nothing of a bias has a rule of thumb: see `bias_for`.)
-    - `terms`: a `LinearBias`, a `PerceptronBias` or none.
-    - `plane`: a `ReceiverPlane`, an `AdaptiveBias` or none.
-    - `factors`: for a map with layers, such as cascades: a factor for each layer, by which all of these but `plane` are
-        multiplied there. Biases are in texels of their own layer with or without it.
+    - `constant`, `slope`, `normal_offset`: a number of texels, or a bias module; by default absent. (A configuration
+        without a bias uses a rule of thumb: see `bias_for`.)
+    - `terms`: a `LinearBias`, a `PerceptronBias` or `None`.
+    - `plane`: a `ReceiverPlane`, an `AdaptiveBias` or `None`.
+    - `factors`: for a map with layers, such as cascades: a factor for each layer, which multiplies all parts except
+        `plane`. With or without factors, biases are in texels of their own layer.
 
     **Raises** `ValueError` when called with `factors` for a map without layers.
 

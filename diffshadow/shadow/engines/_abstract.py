@@ -68,11 +68,11 @@ class Place(eqx.Module):
 
 
 class AbstractEngineShadows(AbstractTechnique):
-    """Shadows of a real-time engine, as it draws them.
+    """Shadows as a real-time engine draws them.
 
     - `compare`: how depths are compared; the hard compare is the engine's own.
     - `resolution`: of the map, (height, width) in texels.
-    - `has_layers`: whether cascades are layers of their own rather than parts of one texture.
+    - `has_layers`: whether cascades are separate layers instead of parts of one texture.
     - `subpixels`: steps to a texel; the engine's rasterizer places vertices at whole steps. Most graphics hardware
         has 256, Chromium's software rasterizer 16.
     """
@@ -94,10 +94,10 @@ class AbstractEngineShadows(AbstractTechnique):
         return False
 
     def compared(self, receiver: Array, per_texel: Array, is_strict: bool = False) -> Compared:
-        """What the compare of a stored value with the `receiver`'s gives.
+        """The result of the compare of a stored value with the `receiver`'s value.
 
-        The hard one is the engine's: equal values are lit, or shadowed if it `is_strict`. `per_texel` is the unit of a
-        soft one.
+        The hard compare is the engine's: equal values are lit, or shadowed if it `is_strict`. `per_texel` is the unit
+        of a soft compare.
         """
         compare = self.compare
         if isinstance(compare, HardCompare):
@@ -105,7 +105,7 @@ class AbstractEngineShadows(AbstractTechnique):
         return lambda stored: compare(stored, receiver, per_texel)
 
     def casters(self, scene: Scene) -> Casters:
-        """What is drawn into the map of a light of `scene`."""
+        """The geometry that is drawn into the map of a light of `scene`."""
         return Casters.of(scene.meshes, self.casting_sides(scene))
 
     def drawn(
@@ -121,8 +121,8 @@ class AbstractEngineShadows(AbstractTechnique):
 
         **Arguments:**
 
-        - `light`: as `engine_light` returns it.
-        - `sides`: for each mesh, which of its faces cast, as `casting_sides` returns it.
+        - `light`: the result of `engine_light`.
+        - `sides`: for each mesh, the faces that cast; the result of `casting_sides`.
         - `offset`: for each mesh, the factor of its normal bias.
         - `is_mirrored`, `push`: see `map_of`.
         """
@@ -131,16 +131,16 @@ class AbstractEngineShadows(AbstractTechnique):
 
     @abc.abstractmethod
     def from_map(self, stored: Any, scene: Scene) -> EngineMap:
-        """The state that `prepare` returns, with the map that the engine has drawn in place of ours.
+        """The result of `prepare`, with a map that the engine drew in place of our map.
 
         **Arguments:**
 
-        - `stored`: (h, w), what the engine's map holds, as read back, with its bottom row first; of a point light
+        - `stored`: (h, w), the content of the engine's map, as read back, with its bottom row first; for a point light
             (6, h, w), its faces in OpenGL's order.
-        - `scene`: with the engine's light and the engine's meshes, which say what receives shadows.
+        - `scene`: with the engine's light and meshes; the meshes say which surfaces receive shadows.
 
-        The settings are the map's, as it was drawn: their effect on depths is undone. The state is then as good
-        for other biases and radii.
+        The settings must be those with which the map was drawn: their effect on depths is undone. The state can then be
+        used with other biases and radii.
 
         **Raises** `ValueError` for another shape, numbers that no map holds, and what `prepare` raises.
         """
@@ -184,8 +184,8 @@ class AbstractEngineShadows(AbstractTechnique):
         return scene.light
 
     def frame(self, scene: Scene, distance: float) -> LightFrame:
-        """The camera that the engine gives the light of `scene`, at the `distance` along its axis, in world units. Of
-        several cascades, the first one's.
+        """The camera that the engine gives the light of `scene`, at the `distance` along its axis, in world units. For
+        several cascades, the value of the first.
 
         **Raises** what `light_frame` and `cameras_of` raise.
         """
@@ -194,7 +194,7 @@ class AbstractEngineShadows(AbstractTechnique):
         return light_frame(light, quarter_of(self.resolution, count), distance)
 
     def bounds(self, lights: Sequence[tuple[LightFrame, float]]) -> dict[str, tuple[float, float, float]]:
-        """For each number that a fit of the engine's shadows fits: where it starts, its lower and its upper bound.
+        """For each fitted number of the engine's shadows: its start, its lower and its upper bound.
 
         **Arguments:**
 
@@ -203,7 +203,8 @@ class AbstractEngineShadows(AbstractTechnique):
         raise NotImplementedError
 
     def as_wide(self, radius: float, frame: LightFrame) -> "AbstractEngineShadows":
-        """With that of the engine's filters which is nearly as wide as a disk with `radius` texels."""
+        """The same shadows with the engine's filter whose width is closest to a disk with a radius of `radius`
+        texels."""
         settings = self.settings
         names = settings.point_filters if frame.kind == "point" else settings.filters
         every = [dataclasses.replace(self, **{settings.filter_key: name}) for name in names]
@@ -212,12 +213,12 @@ class AbstractEngineShadows(AbstractTechnique):
 
     @abc.abstractmethod
     def plain(self, frame: LightFrame, distance: float) -> PlainBias:
-        """What the bias and the filter are without an engine's unit; arguments are as for `frame`."""
+        """The bias and the filter without an engine's unit; arguments are as for `frame`."""
 
     @abc.abstractmethod
     def biased(self, frame: LightFrame, shift: float, offset: float, distance: float) -> "AbstractEngineShadows":
-        """With the engine's own biases that amount to a `shift` towards the light and an `offset` along normals, both
-        in world units; other arguments are as for `frame`.
+        """The same shadows with engine biases that equal a `shift` towards the light and an `offset` along normals,
+        both in world units. Other arguments are as for `frame`.
 
         **Raises** `ValueError` if the engine has no such bias.
         """
@@ -228,7 +229,7 @@ class AbstractEngineShadows(AbstractTechnique):
 
     def covered(self, state: EngineMap, surface: Surface) -> Mask:
         """Pixels that the engine's shadow decides, (h, w): they see a receiver within the light's frustum, on a face
-        turned to the light. Faces turned away are dark in the engine's picture, whatever their shadow."""
+        turned to the light. Faces turned away are dark in the engine's picture, with or without shadow."""
         return _covered(state, surface)
 
 

@@ -61,28 +61,29 @@ class BabylonJs(AbstractEngineShadows):
     - `blur_scale`: the radius of `POISSONSAMPLING` in texels, under a point light in half texels at a face's centre;
         or how many times fewer texels the blurred map has, where it has no derivative.
     - `depth_scale`: the steepness of exponential maps.
-    - `frustum_edge_falloff`: the width of the border in which shadows fade out, from 0 to 1, the half width of the map.
-        It is a circle's, so that the corners of the map are lit.
+    - `frustum_edge_falloff`: the width of the border over which shadows fade out, from 0 to 1, the half width of the
+        map. The border is a circle, so the corners of the map are lit.
     - `contact_hardening_light_size_uv_ratio`: the radius of `PCSS`, over the width of the map.
     - `filter`: the generator's `FILTER_` constant.
     - `quality`: the generator's `filteringQuality`, for `PCF` and `PCSS`.
     - `blur_kernel`, `blur_box_offset`, `use_kernel_blur`: of blurred exponential maps: the width in texels of the
         Gaussian, how far the box reaches to each side in texels, and which one is used.
-    - `force_back_faces_only`: whether back faces cast. The engine does it for meshes with its own, clockwise winding,
-        and does nothing for others, such as meshes of its glTF loader: leave it out for these.
+    - `force_back_faces_only`: whether back faces cast. The engine does so for meshes with its own, clockwise winding.
+        For other meshes, such as those of its glTF loader, the setting has no effect: leave it out for these.
     - `back_face_culling`: of the meshes' materials: of all, or of each. Without it both sides cast.
-    - `float_maps`: `usefullFloatFirst`: whether maps hold floats. By default they hold half floats, whose steps are
-        2^-11 for metrics of 1/2 and more, ten times the default bias.
+    - `float_maps`: `usefullFloatFirst`: whether maps hold floats. By default, maps have half floats. Their steps are
+        2^-11 for metrics of at least 1/2, ten times the default bias.
     - `resolution`, `subpixels`, `compare`: see `AbstractEngineShadows`. Maps are square.
 
     Under a point light the engine draws `PCF` and `PCSS` as `POISSONSAMPLING`, and exponential maps without their blur.
 
-    The bias is added to a map that holds depths without it, so it has a derivative and needs no new map. Only in `PCF`
-    and `PCSS` does it also move casters across the near and far planes, which clip them: there the map keeps the
-    casters of the bias that it was drawn with.
+    The bias is added to a map that holds depths without it, so it has a derivative and needs no new map. In `PCF` and
+    `PCSS`, the bias also moves casters across the near and far planes, which clip them. The map keeps the casters that
+    were visible with its own bias.
 
-    Half floats have the derivative of what they round. The radius of `POISSONSAMPLING` has one through its bilinear
-    taps. In the blocker search of `PCSS` a soft compare weighs blockers; that there is none is decided by less than 1.
+    Rounding to half floats has the derivative of the unrounded value. The radius of `POISSONSAMPLING` has a derivative
+    through its bilinear taps. In the blocker search of `PCSS`, a soft compare weighs blockers. A weight of less than 1
+    in all counts as no blocker.
 
     The rotation of `PCSS` depends on the sine of the device: pixels differ between devices, and means agree.
 
@@ -122,12 +123,12 @@ class BabylonJs(AbstractEngineShadows):
         return name == "normal_bias" or (name == "blur_scale" and self.filter.startswith("BLUR"))
 
     def prepare(self, scene: Scene, surface: Surface | None = None) -> EngineMap:
-        """The map of the scene's only light, with depths without bias. It does not depend on `surface`.
+        """The map of the scene's only light. Its depths do not include the bias. It does not depend on `surface`.
 
-        A light is drawn as Babylon.js draws one at the same place: with the frustum of ours, whose up direction becomes
-        +y. The engine's cameras are left-handed. So its map is the mirror image of what ours would see: texels run from
-        right to left, and `orthoLeft` and `orthoRight` are ours with their signs changed, in each other's
-        place. `angle` of a spot light is its full cone in radians. In cube maps the world's y runs the other way.
+        A light is drawn as Babylon.js draws a light at the same place. It has the frustum of our light, and its up
+        direction is +y. The engine's cameras are left-handed. So its map is the mirror image of our light's view:
+        texels run from right to left, and `orthoLeft` and `orthoRight` are our values swapped, with opposite signs.
+        `angle` of a spot light is its full cone in radians. In cube maps, the world's y axis is flipped.
 
         **Raises** `ValueError` for an area light, or a number of `back_face_culling` that is not the number of meshes.
         """
@@ -207,8 +208,9 @@ class BabylonJs(AbstractEngineShadows):
     def visibility(self, state: EngineMap, surface: Surface) -> Visibility:
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
 
-        What lies beside the light's frustum is lit, and with `PCF` and `PCSS` also what lies before or beyond it; with
-        other filters what lies beyond it stays in shadow. Faces turned away from the light are compared as all others.
+        Points beside the light's frustum are lit. With `PCF` and `PCSS`, points in front of the near plane or beyond
+        the far plane are lit too. With other filters, points beyond the far plane stay in shadow. Faces turned away
+        from the light are compared as all others.
         """
         return _visibility(self, state, surface)
 

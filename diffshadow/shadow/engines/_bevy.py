@@ -54,22 +54,23 @@ class Bevy(AbstractEngineShadows):
     """The shadows of Bevy 0.19 under directional and spot lights.
 
     Fields have the names of the engine's own, in `DirectionalLight`, `SpotLight`, `ShadowFilteringMethod` and
-    `CascadeShadowConfigBuilder`. A directional light's cameras are the engine's: they are fitted to what the scene's
-    camera sees up to `maximum_distance`, and only the direction of the light counts.
+    `CascadeShadowConfigBuilder`. A directional light has the engine's cameras, which are fitted to the view of the
+    scene's camera up to `maximum_distance`. Only the direction of the light matters.
 
-    - `shadow_filtering_method`: the camera's: a tent over 5 texels, or one bilinear compare. `Temporal`, whose noise
+    - `shadow_filtering_method`: of the camera: a tent over 5 texels, or one bilinear compare. `Temporal`, whose noise
         changes with time, is not drawn.
     - `shadow_depth_bias`: how far receivers move towards the light, in world units.
-    - `shadow_normal_bias`: how far they move along their normals, in diagonals of a texel; under a spot light of one
-        at their distance.
+    - `shadow_normal_bias`: how far receivers move along their normals, in diagonals of a texel; under a spot light, of
+        a texel at the receiver's distance.
     - `num_cascades`, `minimum_distance`, `maximum_distance`, `first_cascade_far_bound`, `overlap_proportion`: of a
         directional light's cascades; distances in world units.
     - `shadow_map_near_z`: the near plane of a spot light, world units.
-    - `side`: which faces the meshes' materials leave (`cull_mode`), and so cast: of all, or of each.
+    - `side`: the faces that the meshes' materials keep (`cull_mode`), which therefore cast; one value for all meshes,
+        or one for each.
     - `resolution`, `subpixels`, `compare`: see `AbstractEngineShadows`. Maps are square, and their side is a power of
         two.
 
-    **Raises** `ValueError` for a map that is not so.
+    **Raises** `ValueError` for another map.
     """
 
     settings: ClassVar = Settings
@@ -116,7 +117,7 @@ class Bevy(AbstractEngineShadows):
     def from_map(self, stored: Any, scene: Scene) -> EngineMap:
         """The state that `prepare` returns, with the map that the engine has drawn in place of our map.
 
-        `stored` is the depth texture, with the bottom row first, while it has the top row first; of cascades (k, n, n),
+        `stored` is the depth texture with its rows flipped, so that the bottom row comes first; for cascades (k, n, n),
         its layers. For the arguments and errors see `AbstractEngineShadows.from_map`.
         """
         light = self.cameras_of(scene)
@@ -245,8 +246,9 @@ class Bevy(AbstractEngineShadows):
     def visibility(self, state: EngineMap, surface: Surface) -> Visibility:
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
 
-        What lies outside of a directional light's cascade, or beyond the last one, is lit. Under a spot light it is
-        compared with the map's border. Faces turned away from the light are compared as all others.
+        Points outside of a directional light's cascade, or beyond the last cascade, are lit. Under a spot light, points
+        outside of the map are compared with the map's border. Faces turned away from the light are compared as all
+        others.
         """
         return _visibility(self, state, surface)
 

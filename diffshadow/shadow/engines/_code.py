@@ -22,7 +22,7 @@ def engine_code(
 
     **Arguments:**
 
-    - `light`: of this library, or as the engine has it.
+    - `light`: a light of this library, or the engine's light.
     - `distances`: of the nearest and the farthest receiver along the light's axis, world units.
     - `origin`: of the light's scene: the world point that the light's coordinates are counted from.
 

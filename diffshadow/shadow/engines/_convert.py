@@ -133,21 +133,21 @@ def engine_settings(
     offset_power: int = 1,
     softness: float = 1.0,
 ) -> list[EngineSetting]:
-    """A constant bias and a normal offset as the settings of engines, for a light of theirs with the same map.
+    """A constant bias and a normal offset as the settings of engines, for an engine's light with the same map.
 
     **Arguments:**
 
     - `resolution`: (height, width) of the map, in texels.
     - `bias`: towards the light, in world units.
     - `normal_offset`: in texels.
-    - `distance`: along the light's axis, in world units, at which settings hold that vary with it; ignored for a
-        directional light.
-    - `profile`: of the normal offset. Engines with another profile are left out, unless the offset is 0; None takes an
-        engine's own profile for the same.
-    - `power`: of the distance with which the bias grows: 0 for world units, 1 for texels, 2 for window depth. Notes say
-        which settings grow otherwise. `offset_power`: the same of the normal offset.
-    - `softness`: how many times the engine applies what is set: Godot, under directional lights, `shadow_blur` times
-        the quality's radius (1 for hard shadows); Unity 1 for hard shadows, and 1.5, 2.5 or 3.5 for soft ones of low,
+    - `distance`: along the light's axis, in world units. Settings that vary with the distance are given for this
+        distance. Ignored for a directional light.
+    - `profile`: of the normal offset. Engines with another profile are left out, unless the offset is 0. `None` ignores
+        the difference between profiles.
+    - `power`: the power of the distance with which the bias grows: 0 for world units, 1 for texels, 2 for window depth.
+        Notes say which settings grow otherwise. `offset_power`: the same for the normal offset.
+    - `softness`: the engine's factor on the set value: Godot, under directional lights, `shadow_blur` times the
+        quality's radius (1 for hard shadows); Unity 1 for hard shadows, and 1.5, 2.5 or 3.5 for soft ones of low,
         medium or high quality.
 
     **Raises** `ValueError` for a distance that is not positive, and what `engine_light` raises.

@@ -22,21 +22,21 @@ _STEP = 2.0**-24
 
 
 class EngineMap(eqx.Module):
-    """The depth that a light sees, and what an engine knows of the meshes.
+    """The depth that a light sees, and the properties of meshes that an engine's shader reads.
 
-    - `depth`: (h, w), window depth without bias, 1 where the light sees nothing; row 0 is the bottom row. Of a point
+    - `depth`: (h, w), window depth without bias, 1 where the light sees nothing; row 0 is the bottom row. For a point
         light (6, h, w), the faces of a cube map in OpenGL's order and orientation. Babylon.js' maps are mirrored, see
         `map_of`.
     - `light`: the light it was drawn from.
     - `offset`: (f,), for each face of the scene's mesh, the factor of its normal bias.
     - `receives`: (f,), whether the face receives shadows.
-    - `blurred`: (height, width) of the blurred map that the engine makes of this one; None if it makes none, or one of
-        the same size.
-    - `slope`: of engines that draw casters with a polygon offset, as `depth`: by how much window depth changes from
-        texel to texel, along the rows or the columns, whichever is more. Otherwise None.
-    - `drawn_with`: how many of these slopes `depth` holds already.
-    - `corners`: of engines whose receivers move at their vertices. Otherwise None.
-    - `unit`: what `depth` is measured in: window depth; the distance to a point light over its far; or reversed depth,
+    - `blurred`: (height, width) of the blurred map that the engine makes from this map; `None` if the engine makes no
+        blurred map, or one of the same size.
+    - `slope`: for engines that draw casters with a polygon offset, with the shape of `depth`: the change of window
+        depth from texel to texel, the larger of rows and columns. Otherwise None.
+    - `drawn_with`: the number of slopes that `depth` already includes.
+    - `corners`: only for engines whose receivers move at their vertices. Otherwise None.
+    - `unit`: the unit of `depth`: window depth; the distance to a point light divided by its far; or reversed depth,
         from 1 at near to 0 at far, and 0 where the light sees nothing.
     """
 
@@ -64,7 +64,7 @@ class EngineMap(eqx.Module):
     @property
     def distances(self) -> tuple[Float[Array, "*l h w"], Scalar, Scalar]:
         """Distances along the axis of the light's view in world units: of the depths, and of the least near and the
-        greatest far plane. Of a point light whose map holds distances to it, these."""
+        greatest far plane. If the map of a point light stores distances, these distances."""
         view = self.view
         near, far = (jnp.expand_dims(each, (-2, -1)) if jnp.ndim(each) else each for each in (view.near, view.far))
         if self.unit == "distance":
@@ -84,7 +84,8 @@ class EngineMap(eqx.Module):
         return self.depth > 0 if self.unit == "reversed" else self.depth < 1
 
     def sloped(self, count: Scalar) -> Float[Array, "*l h w"]:
-        """Depth with `count` slopes, a polygon offset's factor; it is the drawn depth to the bit if it has as many."""
+        """Depth with `count` slopes, the factor of a polygon offset. If `drawn_with` is the same, the result is the
+        drawn depth to the bit."""
         if self.slope is None or self.drawn_with is None:
             return self.depth
         moved = self.depth + (count - self.drawn_with) * self.slope

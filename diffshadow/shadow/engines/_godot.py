@@ -76,25 +76,27 @@ class GodotCompatibility(AbstractEngineShadows):
     """The shadows of Godot 4.6 as its Compatibility renderer draws them. Forward+ and Mobile draw others.
 
     Fields have the names of the engine's own, in `Light3D`, `DirectionalLight3D` and the project's settings. A
-    directional light's cameras are the engine's: they are fitted to what the scene's camera sees up to
-    `directional_shadow_max_distance`, and only the direction of the light counts.
+    directional light has the engine's cameras, which are fitted to the view of the scene's camera up to
+    `directional_shadow_max_distance`. Only the direction of the light matters.
 
     - `soft_filter_quality`: one bilinear compare, or the mean of 5 or 13; always one under a point light.
-    - `shadow_bias`: moves casters' vertices away from the light, along their rays from its camera: by this many
-        hundredths of the depth range over the distance, under a spot light tenths of its range over the distance; under
-        a point light by world units. It changes the map, so under the first two it has no derivative.
-    - `shadow_normal_bias`: how far receivers move along their normals, at each vertex: under a directional light in
-        texels, less on faces that are turned away from it; otherwise `10 / size` of the distance times 1 - |cos θ|,
-        where size is that of the light's part of the atlas.
+    - `shadow_bias`: moves casters' vertices away from the light, along the rays from the light's camera. Under a
+        directional light, the unit is a hundredth of the depth range over the distance; under a spot light, a tenth of
+        the light's range over the distance; under a point light, world units. It changes the map, so it has no
+        derivative under directional and spot lights.
+    - `shadow_normal_bias`: how far receivers move along their normals, at each vertex. Under a directional light in
+        texels, and less on faces that are turned away. Otherwise `10 / size` of the distance times 1 - |cos θ|, where
+        size is the size of the light's part of the atlas.
     - `directional_shadow_mode`: one camera, or four splits.
-    - `directional_shadow_max_distance`, `directional_shadow_pancake_size`: how far shadows reach, and the room before
-        what the camera sees, world units.
+    - `directional_shadow_max_distance`, `directional_shadow_pancake_size`: how far shadows reach, and the depth of the
+        space for casters in front of the camera's view, world units.
     - `directional_shadow_fade_start`: the share of that distance where shadows begin to fade out.
-    - `side`: which faces the meshes' materials leave, and so cast: of all, or of each.
+    - `side`: the faces that the meshes' materials keep, which therefore cast; one value for all meshes, or one for
+        each.
     - `resolution`, `subpixels`, `compare`: see `AbstractEngineShadows`. Maps are square. Under a point light it is a
         cube's face, half as wide as the light's part of the atlas.
 
-    The offset of vertices is interpolated over their triangles: large ones have another offset than small ones.
+    The offset of vertices is interpolated over their triangles, so large triangles have other offsets than small ones.
 
     **Raises** `ValueError` for a map that is not square.
     """
@@ -283,8 +285,8 @@ class GodotCompatibility(AbstractEngineShadows):
     def visibility(self, state: EngineMap, surface: Surface) -> Visibility:
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
 
-        What lies beyond a directional light's shadows, or a positional light's range, is lit. Elsewhere, what lies
-        outside of the map is compared with its border. Faces turned away from the light are compared as all others.
+        Points beyond a directional light's shadows, or a positional light's range, are lit. Other points outside of the
+        map are compared with the map's border. Faces turned away from the light are compared as all others.
         """
         return _visibility(self, state, surface)
 

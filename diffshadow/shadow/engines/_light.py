@@ -26,7 +26,7 @@ class EngineLight(NamedTuple):
     - `position`, `target`: world coordinates; a point light has no target.
     - `near`, `far`: of the shadow camera, world units.
     - `window`: left, right, top and bottom of a directional light's camera, world units.
-    - `angle`, `aspect`: of a spot light's cone, in radians from its axis, and of `light.shadow`.
+    - `angle`: of a spot light's cone, in radians from its axis; `aspect`: of `light.shadow`.
     """
 
     type: str
@@ -40,7 +40,7 @@ class EngineLight(NamedTuple):
 
     @property
     def direction(self) -> list[float] | None:
-        """From the position to the target; none for a point light."""
+        """From the position to the target; `None` for a point light."""
         if self.target is None:
             return None
         reach = float(np.abs([self.position, self.target]).max())
@@ -50,7 +50,7 @@ class EngineLight(NamedTuple):
     def of(cls, light: AbstractLight, resolution: Resolution) -> "EngineLight":
         """The settings for `light` with a map of `resolution`, in the coordinates of `light`.
 
-        Numbers that the light was given stay as they are. Others have the digits that single precision leaves.
+        Numbers that the user gave to the light are not changed. Other numbers have the precision of float32.
 
         **Raises** `ValueError` for a perspective camera that is off its axis, and what `engine_light` raises.
         """

@@ -80,25 +80,26 @@ _AWAY = 1e6
 class PlayCanvas(AbstractEngineShadows):
     """The shadows of PlayCanvas 2.23, as it draws them on WebGL2 with `scene.clusteredLightingEnabled = false`.
 
-    Fields have the names of the engine's own, in `LightComponent`. A directional light's cameras are the engine's: they
-    are fitted to what the scene's camera sees up to `shadow_distance`, and only the direction of the light counts.
+    Fields have the names of the engine's own, in `LightComponent`. A directional light has the engine's cameras, which
+    are fitted to the view of the scene's camera up to `shadow_distance`. Only the direction of the light matters.
 
     - `shadow_type`: the filter: one bilinear compare, or a tent over 3 or 5 texels. Under a point light, four compares
         for the last two.
-    - `shadow_bias`: from 0 to 1. Under directional and spot lights it is a tenth of the factor of a polygon offset with
-        which casters are drawn: the depth moves by ten times this many of its steps from texel to texel. Under a point
-        light, receivers move by a hundredth of its range times this.
+    - `shadow_bias`: from 0 to 1. Under directional and spot lights, casters are drawn with a polygon offset whose
+        factor is ten times this number. Under a point light, receivers move by this number times a hundredth of the
+        light's range.
     - `normal_offset_bias`: how far receivers move along their normals, in world units; under a point light, times the
-        distance to it and 1 - cos θ.
+        distance to the light and 1 - cos θ.
     - `shadow_intensity`: of the shadow, from 0 to 1.
     - `shadow_distance`: depth up to which a directional light casts shadows, world units.
-    - `num_cascades`, `cascade_distribution`: the cascades of a directional light, which share the map, and how
-        logarithmic their ends are. The engine's `cascadeBlend`, whose noise depends on the device, is 0.
-    - `side`: which faces of the meshes' materials are drawn (`material.cull`), and so cast: of all, or of each.
+    - `num_cascades`, `cascade_distribution`: the number of a directional light's cascades, which share the map, and how
+        logarithmic their spacing is. The engine's `cascadeBlend`, whose noise depends on the device, is 0.
+    - `side`: the faces that the meshes' materials keep (`material.cull`), which therefore cast; one value for all
+        meshes, or one for each.
     - `resolution`, `subpixels`, `compare`: see `AbstractEngineShadows`. Maps are square.
 
-    The polygon offset has a derivative through the slopes of the casters that the map was drawn with. Which of them is
-    the nearest follows the bias only when the map is drawn again.
+    The polygon offset has a derivative through the slopes of the casters that the map was drawn with. A change of the
+    nearest caster by the bias shows only when the map is drawn again.
 
     Under a directional light receivers also move towards it by 1e-4 of the depth range, which the engine fits to the
     bounding boxes of the casters.
@@ -213,7 +214,7 @@ class PlayCanvas(AbstractEngineShadows):
         return EngineCameras.of(cameras, False, scene.camera, ends)
 
     def plain(self, frame: LightFrame, distance: float) -> PlainBias:
-        """Without the polygon offset, which no other engine lets one set."""
+        """The same without the polygon offset, which cannot be set in any other engine."""
         radius = castano_radius(_SIZES[self.shadow_type])
         offset = float(self.normal_offset_bias)
         if frame.kind == "point":
@@ -285,8 +286,8 @@ class PlayCanvas(AbstractEngineShadows):
     def visibility(self, state: EngineMap, surface: Surface) -> Visibility:
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
 
-        What lies beyond the light's range, cone or `shadow_distance` is lit. Elsewhere, what lies outside of the map is
-        compared with its border. Faces turned away from the light are compared as all others.
+        Points beyond the light's range, cone or `shadow_distance` are lit. Other points outside of the map are compared
+        with the map's border. Faces turned away from the light are compared as all others.
         """
         return _visibility(self, state, surface)
 

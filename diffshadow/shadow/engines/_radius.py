@@ -33,9 +33,9 @@ _SIZES = "its kernels have fixed sizes"
 
 
 def radius_settings(light: AbstractLight, radius: float) -> list[EngineSetting]:
-    """The radius of a filter as the settings of engines, for a light of theirs with the same map.
+    """The radius of a filter as the settings of engines, for an engine's light with the same map.
 
-    Kernels of different shapes are as wide as each other if they have the same standard deviation.
+    Kernels of different shapes count as equally wide if they have the same standard deviation.
 
     **Arguments:**
 

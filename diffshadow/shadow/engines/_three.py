@@ -48,19 +48,19 @@ class ThreeJs(AbstractEngineShadows):
     - `blur_samples`: taps of the box along each axis (VSM).
     - `side`: of the meshes' materials, `"front"`, `"back"` or `"double"`: of all, or of each. Back sides negate
         `normal_bias`.
-    - `shadow_side`: of the materials too; which faces cast. If it is left out, or None for one of the meshes, front
-        sides cast their back faces, back sides their front faces and double sides both; with VSM, what `side` says. So
-        a closed mesh has no acne, and a single ground plane casts nothing.
+    - `shadow_side`: of the meshes' materials: the faces that cast. If left out, or `None` for one of the meshes, `side`
+        decides: with `"front"` back faces cast, with `"back"` front faces, and with `"double"` both. With VSM, the
+        faces that `side` names cast. So a closed mesh has no acne, and a single ground plane casts nothing.
     - `reversed_depth`: whether the renderer has `reversedDepthBuffer`: surfaces beyond far are in shadow then.
     - `resolution`, `subpixels`, `compare`: see `AbstractEngineShadows`.
 
-    The radius has a derivative where taps are bilinear: in PCF, and in the second pass of VSM alone, since the first
-    reads single texels.
+    The radius has a derivative if taps are bilinear: in PCF, and in the second pass of VSM. The first pass of VSM reads
+    single texels.
 
-    From a map of the engine's (`from_map`), the blurred map of VSM has the engine's bits, as Chromium computes them
-    without graphics hardware. Depths of the map that is drawn here differ from the engine's by up to 1.2e-6. Under VSM
-    with a radius of about 1 or less and no bias, all surfaces are compared with themselves, and such last bits of depth
-    decide: 95.7 to 100 % of the pixels are then the engine's.
+    With a map of the engine (`from_map`), the blurred map of VSM equals the engine's to the bit, for Chromium without
+    graphics hardware. Depths of our own map differ from the engine's depths by up to 1.2e-6. Under VSM with a radius of
+    about 1 or less and no bias, all surfaces are compared with themselves, so the last bits of depth matter. 95.7 to
+    100 % of the pixels then equal the engine's.
 
     !!! Example
 
@@ -156,7 +156,7 @@ class ThreeJs(AbstractEngineShadows):
     def visibility(self, state: EngineMap, surface: Surface) -> Visibility:
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
 
-        What lies outside of the light's frustum is lit. Faces turned away from the light are compared as all others.
+        Points outside of the light's frustum are lit. Faces turned away from the light are compared as all others.
         """
         return _visibility(self, state, surface)
 

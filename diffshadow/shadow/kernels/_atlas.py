@@ -22,8 +22,8 @@ _MARGIN = 16
 class Atlas(eqx.Module):
     """Maps of one size, one after another, padded for look-ups.
 
-    A program that reads many maps in turn, or one map often, would otherwise copy and pad each before it reads a few of
-    its texels.
+    Otherwise a program that reads many maps in turn, or one map often, would copy and pad a whole map for each read of
+    a few texels.
 
     - `texels`: (n,), the depths of all maps and their layers.
     - `shape`: the shape of each map's depths, (h, w) or (l, h, w).
@@ -34,7 +34,7 @@ class Atlas(eqx.Module):
 
     @classmethod
     def of(cls, maps: Sequence[ShadowMap]) -> "Atlas":
-        """Of maps without silhouettes whose depths have one shape."""
+        """The atlas of maps without silhouettes whose depths have the same shape."""
         shape, dtype = maps[0].depth.shape, maps[0].depth.dtype
         # One after another, so that there is never a second copy of all.
         texels = as_array(np.zeros(cls.size(len(maps), shape), dtype))
@@ -44,11 +44,11 @@ class Atlas(eqx.Module):
 
     @staticmethod
     def size(maps: int, shape: tuple[int, ...]) -> int:
-        """How many texels so many maps of this shape take."""
+        """The number of texels of so many maps of this shape."""
         return maps * math.prod(shape[:-2]) * (shape[-2] + 2 * _MARGIN) * (shape[-1] + 2 * _MARGIN)
 
     def reading(self, shadow_map: ShadowMap, number: Int[Array, ""]) -> ShadowMap:
-        """`shadow_map`, whose own depths are ignored, with the depths of the map of this number."""
+        """`shadow_map` with its depths replaced by the depths of the map with this number."""
         *layers, height, width = self.shape
         stride = width + 2 * _MARGIN
         rows = self.size(1, self.shape) // stride

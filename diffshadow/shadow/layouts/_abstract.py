@@ -30,7 +30,8 @@ class Choice(NamedTuple):
 
 
 class AbstractLayout(CheckedModule):
-    """Which parts of the scene the layers of a shadow map show, and which layers each receiver is looked up in."""
+    """A layout decides which parts of the scene the layers of a shadow map show, and in which layers each receiver is
+    looked up."""
 
     @abc.abstractmethod
     def light(
@@ -46,7 +47,7 @@ class AbstractLayout(CheckedModule):
 
         - `camera`: where the image is drawn from.
         - `resolution`: (height, width) of each layer, in texels, or of what `layer_resolution` says.
-        - `surface`: what the camera sees; required if `needs_surface`, and otherwise ignored.
+        - `surface`: the surface that the camera sees; required if `needs_surface`, and otherwise ignored.
 
         **Raises** `ValueError` if the layout does not suit the light or the camera.
         """
@@ -60,8 +61,8 @@ class AbstractLayout(CheckedModule):
     def differentiable(self) -> tuple[str, ...]:
         """Names of the numbers with respect to which visibility has a derivative.
 
-        The others lay out the map. Its texels jump as these change, so that visibility has no useful derivative with
-        respect to them.
+        The other numbers lay out the map. The map's texels jump when these numbers change, so visibility has no useful
+        derivative with respect to them.
         """
         return ()
 
@@ -75,7 +76,8 @@ class AbstractLayout(CheckedModule):
 
     @abc.abstractmethod
     def choose(self, light: AbstractLight, points: Float[Array, "h w 3"]) -> Choice:
-        """The layers that `points` (h, w, 3), in world units, are looked up in; `light` is as `light` returns it."""
+        """The layers in which `points` (h, w, 3), in world units, are looked up; `light` is the result of the method
+        `light`."""
 
     def shader(self, light: AbstractLight) -> ShaderPart:
         """The function `shadow` of a shader, for maps of `light`, which is as `light` returns it.
@@ -88,14 +90,14 @@ class AbstractLayout(CheckedModule):
         )
 
     def map_figure(self, light: AbstractLight) -> MapFigure | None:
-        """How a figure names the layers of the map of `light`; none if they need no names."""
+        """The names of the layers of the map of `light` in figures; `None` if they need no names."""
         return None
 
     def layer_figure(self, light: AbstractLight, surface: Surface) -> LayerFigure | None:
-        """Which layers `surface` is looked up in, for a figure; none if there is nothing to show."""
+        """A figure of the layers in which `surface` is looked up; `None` if there is nothing to show."""
         return None
 
     def remarks(self, light: AbstractLight) -> tuple[str, ...]:
-        """What the map of `light` lacks, for which other settings would help: sentences without their subject, the
+        """Remarks on faults of the map of `light` that other settings would mend: sentences without their subject, the
         light."""
         return ()

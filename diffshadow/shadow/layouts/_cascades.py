@@ -32,39 +32,40 @@ _ROUNDING = 1e-6
 
 
 class Cascades(AbstractFittedLayout):
-    """Cascades for a directional light: the camera's view is split by depth into slices, and each slice has a map of
-    its own, in the layers of one.
+    """Cascades for a directional light. The camera's view is split by depth into slices, and each slice has its own
+    layer of the shadow map.
 
     Maps near the camera show less, in smaller texels. With a camera's depths from n to f and λ = `logarithmic`, slice i
     of N ends at `λ n (f/n)^(i/N) + (1 - λ) (n + (f - n) i/N)` (the practical split scheme of Zhang et al. 2006).
-    Logarithmic slices give all cascades the same worst aliasing, uniform ones suit scenes with little near the camera.
+    Logarithmic slices give all cascades the same worst aliasing. Uniform slices suit scenes with little near the
+    camera.
 
     - `count`: the number of cascades.
     - `logarithmic`: λ, from 0 for slices of equal depth to 1 for slices of equal ratio of depths.
     - `distances`: the end of each slice along the camera's axis, in world units; instead of `count` and `logarithmic`.
         The last is the shadow distance.
-    - `shares`: for each cascade a number greater than 0, which says how many texels it has, relative to the others. A
-        map of R² texels for each of N cascades has N R² in all; the side of cascade i is `R sqrt(N share_i / Σ share)`,
-        rounded down. Layers are as large as the largest, and the others fill the lower left square of theirs. If left
-        out, all fill their layers. Such a map is square, and has no silhouettes.
-    - `max_share`: upper bound on a cascade's part of all texels, in (0, 1], for which there is memory; defaults to the
-        largest of `shares`.
+    - `shares`: for each cascade a number greater than 0, its number of texels relative to the other cascades. A map of
+        R² texels for each of N cascades has N R² in all; the side of cascade i is `R sqrt(N share_i / Σ share)`,
+        rounded down. All layers have the size of the largest cascade. Smaller cascades fill the lower left square of
+        their layer. If left out, all fill their layers. Such a map is square, and has no silhouettes.
+    - `max_share`: the greatest fraction of all texels that a cascade may get, in (0, 1], for which memory is reserved;
+        defaults to the largest of `shares`.
     - `depths`: the depths n and f that are split. `"camera"`: the camera's near and far. `"surface"`: the least and
         greatest depth of the surface that the camera sees (sample distribution shadow maps, Lauritzen, Salvi &
         Lefohn 2011).
     - `shadow_distance`: the depth, in world units, beyond which nothing is shadowed; f if left out.
-    - `fit`: what each cascade contains. `"cascade"`: its slice. `"scene"`: all that lies before the end of its slice,
-        which spends texels on what finer cascades show.
-    - `stabilize`: whether texels stay where they are on the scene's surfaces as the camera moves: each cascade contains
-        the least sphere around its slice, whose size does not change as the camera turns, and moves by whole texels.
-        Otherwise it contains the box of its slice, and no more than the light's own map does. Texels stay only where
-        slices do: with `depths="camera"`, and a camera whose near and far stay.
-    - `select`: which cascade a receiver is looked up in. `"interval"`: by its depth. `"map"`: the first whose map
+    - `fit`: what each cascade contains. `"cascade"`: its slice. `"scene"`: everything up to the end of its slice, which
+        spends texels on surfaces that finer cascades show.
+    - `stabilize`: whether texels keep their place on the scene's surfaces when the camera moves. Each cascade then
+        contains the least sphere around its slice, whose size does not change when the camera turns, and moves by whole
+        texels. Otherwise it contains the box of its slice, cut to the light's own map. Texels keep their place only if
+        slices do: with `depths="camera"`, and a camera with constant near and far.
+    - `select`: the cascade in which a receiver is looked up. `"interval"`: by its depth. `"map"`: the first whose map
         contains it, which uses more of the finer maps.
-    - `blend`: over which part of a slice, at its end, its cascade fades into the next; 0 for a sharp change.
-        With `select="map"`, over which part of the map's half width, at its border.
-    - `max_blend`: upper bound on `blend`, for which the maps are fitted; defaults to `blend`.
-    - `fade`: over which part of the last slice, at its end, shadows fade out if there is a shadow distance.
+    - `blend`: the fraction of a slice, at its end, over which its cascade fades into the next; 0 for a sharp change.
+        With `select="map"`, the fraction of the map's half width, at its border.
+    - `max_blend`: the greatest `blend` that a fit may reach, for which maps reserve space; defaults to `blend`.
+    - `fade`: the fraction of the last slice, at its end, over which shadows fade out if there is a shadow distance.
     - `margin`: how far the maps extend beyond their slices, in texels, so that filters read no texels beyond the
         border: at least the greatest radius of the filter, plus half a texel if its look-ups are bilinear, plus any
         normal offset.
@@ -198,7 +199,7 @@ class Cascades(AbstractFittedLayout):
     ) -> CascadedLight:
         """`light` with the views of the cascades; see `AbstractLayout.light`.
 
-        The views follow the light's direction, but where the cascades lie has no gradient with respect to it.
+        The views follow the light's direction, but the placement of the cascades has no gradient with respect to it.
 
         **Raises** `ValueError` for a light that is not directional, a map too small for the margin, a shadow distance
         beyond the camera's far plane, or distances outside of the camera's range; for logarithmic slices of a camera
@@ -244,7 +245,7 @@ class Cascades(AbstractFittedLayout):
         return self.shadow_distance is not None or self.distances is not None
 
     def remarks(self, light: AbstractLight) -> tuple[str, ...]:
-        """That stabilized cascades are not stable, since their slices move."""
+        """A remark that stabilized cascades are not stable, if their slices move."""
         if not (self.stabilize and self.depths == "surface"):
             return ()
         return (

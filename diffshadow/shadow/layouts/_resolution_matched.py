@@ -34,19 +34,19 @@ class ResolutionMatched(AbstractFittedLayout):
     """A virtual shadow map for a directional light: only the pages that the camera's surface needs are drawn.
 
     The light's own map exists at several levels of resolution. Each point of the surface requests the page that
-    contains it at the level at which a texel is as large as a pixel. Let J be by how many pixels the point moves on the
-    screen if it moves by a texel of level 0 along the map's axes. The level is `floor(-log₂ e)`, with e the greater
+    contains it at the level at which a texel is as large as a pixel. Let J be the motion of the point on the screen, in
+    pixels, if it moves by a texel of level 0 along the map's axes. The level is `floor(-log₂ e)`, with e the greater
     singular value of J, or the root of its determinant. Adaptive shadow maps (Fernando, Fernandez, Bala & Greenberg
     2001) find pages by iteration instead, and virtual shadow maps keep them from one image to the next.
 
-    The map's `resolution` is the number of texels that there is memory for, gutters included. If the pages that are
-    requested have more, all levels are raised by the same bias, in steps of 1/16, until they fit
-    (`PagedLight.raised`). Every part of the scene has a page, but texels get larger, and shadows narrower than a texel
-    may be lost. In the end, only the root is resident: a plain map with as many texels as a page.
+    The map's `resolution` is the number of texels in memory, including gutters. If the requested pages have more
+    texels, all levels are raised by the same bias, in steps of 1/16, until the pages fit (`PagedLight.raised`). Every
+    part of the scene has a page, but texels get larger, and shadows narrower than a texel may be lost. In the end, only
+    the root is resident: a plain map with as many texels as a page.
 
-    A point is looked up in the finest resident page that contains it. That is the page that it requested, or a finer
-    one that another point requested. Pages that no point is then looked up in are not drawn. Points that the camera
-    does not see are looked up in the same way, in the root if in no other.
+    A point is looked up in the finest resident page that contains it. This is the page that the point requested, or a
+    finer page that another point requested. Pages in which no point is looked up are not drawn. Points that the camera
+    does not see are looked up in the same way, in the root if no other page contains them.
 
     Biases and radii of filters are in texels of the page, so that shadows are as sharp as the screen everywhere, and
     filters change in width where levels do. A page is drawn with a gutter, so that filters meet no seam. A map with
@@ -54,12 +54,12 @@ class ResolutionMatched(AbstractFittedLayout):
 
     - `page`: side of a page, in texels, without its gutter; a power of two from 16 to 1024.
     - `finest`: side of the light's whole map at level 0, in texels; a power of two, at most 65536, and from 2 to 1024
-        pages. Points that need more are looked up at level 0.
+        pages. Points that need a finer level are looked up at level 0.
     - `norm`: `"area"` matches the area of a texel to a pixel's area, `"worst"` the longest extent to a pixel's side,
         so that nothing is undersampled, with more texels.
     - `level_bias`: added to all levels before they are rounded down, -16 to 16: -1 halves the side of a texel on the
-        screen. It is raised if pages do not fit, so a low one fills the memory there is.
-    - `shadow_distance`: the depth along the camera's axis, in world units, beyond which nothing is shadowed; none for
+        screen. It is raised if pages do not fit, so a low value fills the available memory.
+    - `shadow_distance`: the depth along the camera's axis, in world units, beyond which nothing is shadowed; `None` for
         the camera's far.
     - `margin`: the width of the gutter in texels, rounded up, at most half of `page`: at least the greatest radius of
         the filter, plus half a texel if its look-ups are bilinear, plus any normal offset.
@@ -170,7 +170,7 @@ class ResolutionMatched(AbstractFittedLayout):
         )
 
     def remarks(self, light: AbstractLight) -> tuple[str, ...]:
-        """That pages did not fit, so that texels are larger than pixels; and that the finest level is too coarse."""
+        """Remarks: pages did not fit, so texels are larger than pixels; or the finest level is too coarse."""
         assert isinstance(light, PagedLight)
         raised, bias, coarse = float(light.raised), float(light.bias), float(light.too_coarse)
         found = []

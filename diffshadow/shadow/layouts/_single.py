@@ -6,7 +6,7 @@ from ._abstract import AbstractLayout, Choice
 
 
 class SingleMap(AbstractLayout):
-    """The light's own map, over all that the light's frustum contains; for a point light, one layer for each face."""
+    """The light's own map, over the whole frustum of the light; for a point light, one layer for each face."""
 
     def light(self, light, camera, resolution, surface=None) -> AbstractLight:
         return light

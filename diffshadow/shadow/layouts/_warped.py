@@ -38,51 +38,51 @@ _EDGES = np.array([(k, k | bit) for bit in (1, 2, 4) for k in range(8) if not k 
 
 
 class PerspectiveWarp(AbstractFittedLayout):
-    """One map for a directional light, warped by a perspective so that what is close to the camera gets more texels.
+    """One map for a directional light, warped by a perspective so that surfaces close to the camera get more texels.
 
-    The map shows what the camera sees of what the light's own map shows. Its y axis follows the camera's view, and a
-    perspective along it enlarges its lower end, at the camera (`geometry.Warp`). Depth remains linear, so biases mean
-    the same as in other maps, in texels of the size that they have at the receiver. Radii of filters are in texels too,
-    which are longer along the view than across it, or shorter: a disk in the map is an ellipse on the surface. A map
-    with silhouettes, or a polygon offset, cannot be warped.
+    The map shows the part of the light's own map that the camera sees. The map's y axis follows the camera's view. A
+    perspective along this axis enlarges the map's lower end, at the camera (`geometry.Warp`). Depth remains linear, so
+    biases mean the same as in other maps. Their unit is the size of a texel at the receiver. Radii of filters are also
+    in texels. Texels are longer or shorter along the view than across it, so a disk in the map is an ellipse on the
+    surface. A map with silhouettes, or a polygon offset, cannot be warped.
 
-    With z₀ the least depth that the map shows, γ the angle between light and view, and d what the map shows along its y
-    axis in world units, z₁ is `z₀ + d sin γ`. The strength w of the warp is
+    Let z₀ be the least depth that the map shows, γ the angle between light and view, d the height of the map in world
+    units, and z₁ = `z₀ + d sin γ`. The strength w of the warp is
 
-    - `"lispsm"`: `sqrt(z₁ / z₀) - 1`, which makes perspective aliasing along the view equal at both ends, and the
-        greatest as small as possible (Wimmer, Scherzer & Purgathofer 2004, as revised in 2005);
+    - `"lispsm"`: `sqrt(z₁ / z₀) - 1`, which makes perspective aliasing along the view equal at both ends, and its
+        maximum as small as possible (Wimmer, Scherzer & Purgathofer 2004, as revised in 2005);
     - `"perspective"`: `z₁ / z₀ - 1`, the strength of perspective shadow maps (Stamminger & Drettakis 2002). They warp
         space as the camera does. Here the perspective runs along the map, so there are no singular cases;
-    - `"trapezoidal"`: such that what lies within the `focus` takes up 80 % of the map (trapezoidal shadow maps, Martin
-        & Tan 2004), at most the warp of `"perspective"`.
+    - `"trapezoidal"`: the region within the `focus` gets 80 % of the map (trapezoidal shadow maps, Martin & Tan 2004),
+        with at most the warp of `"perspective"`.
 
-    None is more than `max(1 / τ - 2, 0)`, with τ in [0, 1] the height of the nearest point in a map without a warp: a
-    stronger warp would enlarge the texels there again. So all of them tend to 0 as the light turns parallel to the
-    view, where no warp helps. They are 0 for a parallel camera, whose images have no perspective aliasing. None is more
-    than `1 / (2 m)`, with m the margin as a part of the map: the map ends at the height `1 + 1 / w`, and a stronger
-    warp would leave no room for the margin.
+    No strength exceeds `max(1 / τ - 2, 0)`, where τ in [0, 1] is the height of the nearest point in a map without a
+    warp. A stronger warp would enlarge the texels at this point again. So all strengths tend to 0 as the light turns
+    parallel to the view, where no warp helps. Strengths are 0 for a parallel camera, whose images have no perspective
+    aliasing. No strength exceeds `1 / (2 m)`, where m is the margin as a fraction of the map. The map ends at the
+    height `1 + 1 / w`, so a stronger warp would leave no space for the margin.
 
     Along the view, the greatest error of a warp is at the far end, `(1 + w) z₀ / z₁` times the greatest without a warp.
-    A strength of more than `z₁ / z₀ - 1` is therefore worse than none, and z₀ has to be the least depth of what is
-    seen. A camera's near plane is often much nearer, so `"perspective"` follows the depths of the surface by default.
-    `"lispsm"` grows only with the root of z₁ / z₀, and `"trapezoidal"` hardly depends on z₀. Both follow the camera's
-    depths by default, which do not change with what is seen. On four scenes, `"lispsm"` had 0.75 to 1.26
-    times as large an error with the camera's depths as with the surface's.
+    A strength of more than `z₁ / z₀ - 1` is therefore worse than no warp, and z₀ should be the least depth of the
+    visible surface. A camera's near plane is often much nearer, so `"perspective"` follows the depths of the surface by
+    default. `"lispsm"` grows only with the root of z₁ / z₀, and `"trapezoidal"` hardly depends on z₀. Both follow the
+    camera's near and far by default, which do not change with the visible surface. On four scenes, `"lispsm"` had 0.75
+    to 1.26 times as large an error with the camera's depths as with the surface's.
 
     A plane's depth is linear over the map only to first order. A `ReceiverPlane` under a filter of radius r texels
     needs a `fudge` of up to `w (r + 1)² / h`, h being the map's height in texels.
 
-    - `method`: how the strength is found.
-    - `strength`: w itself, 0 or more, instead of what `method` finds; 0 for a map without a warp.
+    - `method`: the rule for the strength.
+    - `strength`: w itself, 0 or more, instead of the value from `method`; 0 for a map without a warp.
     - `focus`: for `"trapezoidal"`, the part of d at the camera's end that 80 % of the map shows, in (0, 1].
     - `shadow_distance`: the depth along the camera's axis, in world units, beyond which nothing is shadowed; the
         camera's far if left out.
-    - `depths`: which depths the map shows. `"camera"`: from the camera's near to its far. `"surface"`: from the least
-        to the greatest depth of the surface that it sees, so that no texels show the empty space before it. Defaults to
-        `"surface"` for `"perspective"`, and to `"camera"` for the other methods.
-    - `margin`: how far the map extends beyond what the camera sees, in texels, so that filters read no texels beyond
-        the border: at least the greatest radius of the filter, plus half a texel if its look-ups are bilinear, plus any
-        normal offset. At the far end, a given `strength` that is greater than `1 / (2 m)` has less of it.
+    - `depths`: the depths that the map shows. `"camera"`: from the camera's near to its far. `"surface"`: from the
+        least to the greatest depth of the surface that it sees, so that no texels are spent on empty space in front of
+        the surface. Defaults to `"surface"` for `"perspective"`, and to `"camera"` for the other methods.
+    - `margin`: how far the map extends beyond the camera's view, in texels, so that filters read no texels beyond the
+        border. It must be at least the greatest radius of the filter, plus half a texel if its look-ups are bilinear,
+        plus any normal offset. At the far end, the margin is narrower if `strength` is set above `1 / (2 m)`.
     """
 
     settings: ClassVar = Settings
@@ -107,8 +107,8 @@ class PerspectiveWarp(AbstractFittedLayout):
     ) -> WarpedLight:
         """`light` with the warped view; see `AbstractLayout.light`.
 
-        The view follows the light's direction, but where the map lies has no gradient with respect to it. It has one
-        with respect to `strength` and `focus`.
+        The view follows the light's direction, but the placement of the map has no gradient with respect to the
+        direction. It has a gradient with respect to `strength` and `focus`.
 
         **Raises** `ValueError` for a light that is not directional, a map too small for the margin, or a shadow
         distance outside of the camera's depths; for `depths` of a surface without one; and for a `strength` above 0 if

@@ -45,7 +45,8 @@ class SilhouetteMap(eqx.Module):
     follows: Bool[Array, " s"]
 
     def mean_of(self, function: Callable[[Array], Any], depth: Float[Array, "*l h w"]) -> Any:
-        """The mean over each texel of a `function` of depth, which keeps the shape. `depth` is the map's."""
+        """The mean of a `function` of depth over each texel. The function must keep the shape of its argument. `depth`
+        is the map's."""
         fraction = self.area_within(jnp.arange(self.inner.shape[0], dtype=jnp.int32), WHOLE_TEXEL)
         blend = lambda inner, outer: outer + fraction * (inner - outer)
         means = jax.tree.map(blend, function(self.inner), function(self.outer))
@@ -55,9 +56,9 @@ class SilhouetteMap(eqx.Module):
     def by_texel(
         self, depth: Float[Array, "*l h w"]
     ) -> tuple[Float[Array, "*l h w"], Float[Array, "*l h w"], Float[Array, "*l h w"]]:
-        """How large a part of each texel lies inside its half-planes, and the depths inside and elsewhere.
+        """The fraction of each texel inside its half-planes, and the depths inside and outside.
 
-        A texel without a silhouette is all inside. `depth` is the map's.
+        A texel without a silhouette is entirely inside. `depth` is the map's.
         """
         area = self.area_within(jnp.arange(self.inner.shape[0], dtype=jnp.int32), WHOLE_TEXEL)
         pick = lambda plain, of_slot: jnp.where(

@@ -55,8 +55,8 @@ def run_advise(advice: Advice, *, console: Console, scheduler: str | None = None
     """Fits every technique of `advice` that is not fitted yet, times all of them in turns, prints a ranking and a
     verdict, and writes a page and the recommended configuration. For an engine, it ends with the code to paste.
 
-    Fits are done as in `run_sweep`, whose arguments and errors these are. Techniques are timed once all are fitted, in
-    this process; what was measured is kept.
+    Fits are done as in `run_sweep`, with the same arguments and errors. All techniques are timed in this process after
+    the last fit, and the times are stored.
 
     **Returns** the folder, `<output>/<name>-advise`, for an engine `<output>/<name>-advise-<engine>`.
 
@@ -249,8 +249,8 @@ def _of_times() -> str:
     processor = versions()["processor"]
     where = f"all cores of {processor}" if jax.default_backend() == "cpu" else str(jax.devices()[0].device_kind)
     return (
-        f"times are of this renderer on {where}, of one view with all its lights, after compiling: they compare "
-        "techniques with each other, and are no times of an engine"
+        f"times are for this renderer on {where}, for one view with all its lights, after compiling: they compare "
+        "techniques, and do not predict the times of an engine"
     )
 
 

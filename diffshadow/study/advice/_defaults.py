@@ -152,12 +152,13 @@ def print_defaults(
     engine: EngineName | None = None,
     of_map: LightOptions | None = None,
 ) -> None:
-    """Prints the biases that hold over many scenes, and what they are worth.
+    """Prints biases that work in many scenes, and how much more error than a fit they have.
 
     **Arguments:**
 
-    - `filter`, `radius`: a filter's type and its radius in texels. Its bias is printed as a part of a configuration.
-    - `engine`: whose settings are printed instead, for its default filter.
+    - `filter`, `radius`: a filter's type and its radius in texels. The filter's bias is printed as a part of a
+        configuration.
+    - `engine`: an engine whose settings are printed instead, for its default filter.
     - `of_map`: the engine's light and map; for a directional light by default the engine's own.
 
     **Raises** `ValueError` for a filter without a rule, and for options that do not go together.
@@ -197,9 +198,9 @@ def _print_shipped(engine: EngineName, of_map: LightOptions, console: Console) -
     table.print_lines(
         console,
         [
-            f"{ENGINES[engine]} ships {', '.join(given)}; a texel is {texel:.4g} world units wide",
+            f"{ENGINES[engine]}'s default is {', '.join(given)}; a texel is {texel:.4g} world units wide",
             "no rule has been measured for it",
-            f"for a scene of yours: diffshadow advise CONFIG --engine {engine}",
+            f"for your own scene: diffshadow advise CONFIG --engine {engine}",
         ],
     )
 
@@ -225,16 +226,16 @@ def _print_all(console: Console) -> None:
     table.print_lines(
         console,
         [
-            "without a bias, a configuration has its filter's rule; between two radii, it is interpolated; its "
-            f"constant is at most {rules.PART:.0%} of a typical caster's width, or of the kernel's",
+            "a configuration without a bias uses the rule for its filter; between two radii, rules are interpolated; "
+            f"the constant is at most {rules.PART:.0%} of a typical caster's width, or of the kernel's width",
             f"for any filter that reaches r texels: constant {rules.CONSTANT:g} + {rules.CONSTANT_PER_TEXEL:g} r, "
             f"slope {rules.SLOPE:g} + {rules.SLOPE_PER_TEXEL:g} r; {_sentence(rules.FORMULA_WORTH)}",
             f"with a bias from the receiver's plane: constant {rules.PLANE_CONSTANT:g} (1 + r); "
             f"{_sentence(rules.PLANE_WORTH)}",
-            f"price: the mean error over that of the best bias for each of {rules.SCENES} scenes, with rules that were "
-            "searched for without scenes of their kind; own price: of the rule, in the scenes that it was searched for "
-            "in; acne, leaks: the share of scenes where more than a thousandth of the light is wrongly missing, or "
-            "there",
+            f"price: the error divided by the error of the best bias for the scene, the mean over {rules.SCENES} "
+            "scenes; each kind of scene was left out of the search for the rule that it tests; own price: the same in "
+            "the scenes of the search; acne, leaks: the share of scenes where more than a thousandth of the light is "
+            "wrongly missing, or wrongly present",
             "for a filter: diffshadow defaults --filter random_disk --radius 3",
             f"for an engine: {_EXAMPLES['directional']}",
         ],
@@ -304,7 +305,7 @@ def _print_engine(engine: EngineName, of_map: LightOptions, console: Console) ->
                 if known is None or engine in ENGINE_TECHNIQUES
                 else [f"read from {ENGINES[engine]}'s sources, and not verified against the engine"]
             ),
-            f"for a scene of yours: diffshadow advise CONFIG --engine {engine}",
+            f"for your own scene: diffshadow advise CONFIG --engine {engine}",
         ],
     )
 

@@ -39,11 +39,11 @@ def engine_advice(
     console: Console,
     progress: CheckProgress | None = None,
 ) -> Advice:
-    """The fits of a recommendation among the techniques that `engine` has, like `load_advice`.
+    """The fits of a recommendation among the techniques of `engine`; otherwise like `load_advice`.
 
-    Engines that are drawn here are fitted as they draw, in their own units. The others are fitted as
-    shadow maps with their kernels and their profile of the normal offset, to be converted. The scene is drawn first,
-    since an engine's units depend on it. Faces cast as in the configuration.
+    Engines whose shadows this package draws are fitted in their own units. Other engines are fitted as shadow maps with
+    the engine's kernels and profile of the normal offset, and the result is converted. The scene is drawn first, since
+    an engine's units depend on it. Faces cast as in the configuration.
 
     **Arguments:**
 
@@ -127,7 +127,8 @@ def _filter(kind: str, key: str, made: EngineFit, biases: Sequence[str]) -> dict
 
 
 def engine_code(engine: EngineName, config: Config, filter_label: str) -> dict[str, str]:
-    """The code that sets the fitted values of `config`, for each of its lights by key; of several views, for the first.
+    """The code that sets the fitted values of `config`, for each of its lights by key. With several views, the code is
+    for the first view.
 
     `filter_label` is the name of the technique's filter.
     """

@@ -179,7 +179,7 @@ def _time(of: Candidate, than: Candidate) -> str:
 def _device() -> str:
     """What techniques are timed on, in words."""
     kind = jax.default_backend()
-    return "on the CPU, whatever a GPU takes" if kind == "cpu" else f"on the {kind.upper()}"
+    return "on the CPU (a GPU may differ)" if kind == "cpu" else f"on the {kind.upper()}"
 
 
 def _percent(fraction: float) -> str:

@@ -1,1 +1,1 @@
-"""Configurations made of scenes of other programs."""
+"""Turns scenes of other programs into configurations."""

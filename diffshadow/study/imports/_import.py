@@ -34,12 +34,13 @@ def import_scene(
     shadow_type: ShadowType = ThreeJs.shadow_type,
     output: str | os.PathLike[str] | None = None,
 ) -> Path:
-    """Writes the configuration of a scene's file, and its meshes beside it. Says what is taken over and what is not.
+    """Writes the configuration of a scene's file, and its meshes beside it. Prints what is imported and what is left
+    out.
 
     **Arguments:**
 
-    - `path`: a JSON file of three.js, GLB, glTF 2.0, or any mesh file. A camera, a light and a ground that it lacks
-        are added.
+    - `path`: a JSON file of three.js, GLB, glTF 2.0, or any mesh file. If the file lacks a camera, a light or a ground,
+        it is added.
     - `camera`, `light`: names; by default the first camera, and the first light that casts shadows. `camera` may also
         be a scene's file that holds a camera.
     - `shadow_type`: `renderer.shadowMap.type`, which no scene's file holds.

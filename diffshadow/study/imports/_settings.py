@@ -239,7 +239,7 @@ def _light(
         if shadow is not None:
             settings["near"], settings["far"] = _rounded([shadow.near, shadow.far])
     remarks.append(
-        f"{light.name}: engines' lights have no size; {size}; it makes the penumbrae that radius is fitted to"
+        f"{light.name}: engines' lights have no size; {size}; radius is fitted to the penumbrae of this light"
     )
     return settings
 

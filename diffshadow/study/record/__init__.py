@@ -1,1 +1,2 @@
-"""Records: what is known of a finished run, sweep or recommendation, how it is stored in a folder, and read again."""
+"""Records of finished runs, sweeps and recommendations: their content, and how they are stored in a folder and read
+again."""

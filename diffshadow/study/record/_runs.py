@@ -59,7 +59,7 @@ class Extents(Part):
 
 
 class Aliasing(Part):
-    """How large texels are on the screen, and the part of it that is due to perspective."""
+    """The size of texels on the screen, and its part that perspective causes."""
 
     extent: Extents
     perspective: Extents
@@ -172,7 +172,7 @@ class Precision(Part):
 
 
 class Start(Part):
-    """As `fit.Start`, with its values by name."""
+    """Like `fit.Start`, with its values by name."""
 
     initial: Numbers
     end: Numbers = {}
@@ -212,7 +212,8 @@ class Interval(Part):
 
 
 class Profile(Part):
-    """The error along a parameter, (value, error) in order of the values, and where it is close to the best."""
+    """The error along a parameter, (value, error) in order of the values, and the intervals where it is close to the
+    best."""
 
     best: At
     points: list[Annotated[list[Single | None], Field(min_length=2, max_length=2)]]
@@ -225,7 +226,7 @@ class Profile(Part):
 
 
 class FrontPoint(Part):
-    """As `fit.FrontPoint`, with its values by name."""
+    """Like `fit.FrontPoint`, with its values by name."""
 
     values: Numbers
     false_shadow: Positive

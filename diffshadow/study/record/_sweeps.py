@@ -86,7 +86,7 @@ class Candidate(Part):
 
 
 class Advice(Part):
-    """`engine`, `code`: of advice for an engine, which it is, and its code for each light."""
+    """`engine`, `code`: for advice on an engine: its name, and its code for each light."""
 
     engine: EngineName | None = None
     code: dict[str, str] = {}
@@ -167,7 +167,7 @@ class Measurements(Part):
 
 
 class Outcome(Part):
-    """Of a run of a sweep: status `"ok"` or `"failed"`, with metrics or an error, and the seconds of its stages."""
+    """A run of a sweep: status `"ok"` or `"failed"`, with metrics or an error, and the seconds of its stages."""
 
     schema_version: Count = 0
     id: str

@@ -1,1 +1,1 @@
-"""What runs say beside their figures: faults of what they were given, causes, and what to try."""
+"""Remarks of runs: faults of the input, causes, and advice."""

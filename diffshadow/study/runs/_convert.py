@@ -67,16 +67,16 @@ def convert(
 ) -> None:
     """Prints the bias and the filter's radius of `config` in the units of engines, for each of its lights.
 
-    The technique is a shadow map, or an engine's own. A constant bias and a normal offset are converted by
-    formulas. To a bias that an engine lacks, the shadows of three.js and Babylon.js are fitted, over the same views,
-    and their code and errors are printed. For the other engines, the command that fits what they have is printed.
+    The technique is a shadow map, or an engine's own. A constant bias and a normal offset are converted by formulas. If
+    an engine lacks the bias, the shadows of three.js and Babylon.js are fitted instead, over the same views, and their
+    code and errors are printed. For other engines, the command for such a fit is printed.
 
     **Arguments:**
 
     - `origin`: where the values of `config` come from, as a part of a sentence.
-    - `source`, `overrides`: what the user gave: a file or a folder, and values in place of its own.
+    - `source`, `overrides`: the user's arguments: a file or a folder, and values that replace the file's values.
     - `fits`: whether engines that lack the bias are fitted.
-    - `engine`: the only engine to convert to. Its finished code is printed in place of a table.
+    - `engine`: the only engine to convert to. Its finished code is printed instead of a table.
 
     **Raises** `ConfigError` for a technique or a light that has none of these.
     """

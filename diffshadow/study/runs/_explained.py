@@ -35,10 +35,10 @@ Mask = Bool[HostArray, "h w"]
 
 
 class Fitted(NamedTuple):
-    """A fitted image, and what it was fitted to.
+    """A fitted image and its reference.
 
     - `drawn`: the scene and its reference; `image`: (h, w), after the fit.
-    - `scene`: the scene as it was fitted; none if nothing in it was.
+    - `scene`: the fitted scene; `None` if nothing in the scene was fitted.
     - `given`: whether the reference was given as a file, rather than traced.
     - `cone`: (h, w), the fraction of the light that its cone lets through, with which a fit of lights compares.
     """

@@ -25,7 +25,7 @@ from ._write import write_run
 def run_fit(config: Config, *, console: Console) -> Path:
     """Fits the parameters or the shape of `config`, prints the result, and writes the run's folder.
 
-    Where JAX has several processes, each of them calls this, and the first prints and writes.
+    If JAX has several processes, each calls this function, and the first prints and writes.
 
     **Returns** the folder, `<output>/<name>`. An earlier run there is replaced only once everything is written.
 

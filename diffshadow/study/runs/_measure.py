@@ -56,8 +56,8 @@ def noise(drawn: Sequence[Drawn]) -> float | None:
 
 
 def aliasing(technique: shadow.AbstractTechnique, drawn: Drawn) -> Aliasing | None:
-    """How large the technique's texels are on the screen; none without a shadow map, or if no surface lies in it and
-    faces the light."""
+    """The size of the technique's texels on the screen; `None` without a shadow map, or if no surface in the map faces
+    the light."""
     if not isinstance(technique, shadow.ShadowMapping):
         return None
     found = technique.aliasing(drawn.state, drawn.surface, drawn.scene.camera)

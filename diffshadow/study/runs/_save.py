@@ -22,10 +22,10 @@ from ._write import Finished, write_run
 def save_fit(result: fit.FitResult, folder: str | os.PathLike[str], *, names: Sequence[str] | None = None) -> Path:
     """Writes a fit that was made in Python: the folder and the report of `diffshadow fit`.
 
-    It holds `result.json`, `arrays.npz`, pictures and `report.html`, which `diffshadow report` and `diffshadow compare`
-    read as any other run's. It has no configuration, so there are no `config.yaml`, no table of settings, no command
-    that repeats it and no engine's code. What the fit says of its settings and remarks is in the words of Python. The
-    shaded pictures need the scene, which `TechniqueProblem.of` keeps.
+    The folder has `result.json`, `arrays.npz`, pictures and `report.html`. `diffshadow report` and `diffshadow compare`
+    read it like the folder of any run. A fit from Python has no configuration, so the folder has no `config.yaml`, and
+    the report has no table of settings, no command to repeat it and no engine's code. Settings and remarks use the
+    names of Python. The shaded pictures need the scene, which `TechniqueProblem.of` keeps.
 
     **Arguments:**
 

@@ -114,7 +114,7 @@ def shape_problem(config: Config, progress: Progress | None = None) -> tuple[Sha
 
 
 def fit_shape(config: Config, progress: Progress) -> FittedShapeRun:
-    """Fits the shape of `config`. A fit that was stopped goes on from its checkpoint, if the configuration is the same.
+    """Fits the shape of `config`. A stopped fit continues from its checkpoint if the configuration is the same.
 
     **Raises** `ConfigError` for a mistake in the configuration; `FileError` if no space is left for the checkpoint.
     """

@@ -66,9 +66,9 @@ def run_sweep(
 
     - `sweep`: the sweep.
     - `console`: where results are printed.
-    - `scheduler`: address of a Dask scheduler, whose workers have this code of the package. They need not see the
-        same files. By default local workers are started. They import the calling script, which must do its work under
-        `if __name__ == "__main__"`.
+    - `scheduler`: address of a Dask scheduler, whose workers have this code of the package. Workers need not share a
+        file system with the command. By default local workers are started. They import the calling script, which must
+        do its work under `if __name__ == "__main__"`.
     - `workers`: number of local worker processes; by default one per core. With 0, the runs are done in this process.
     - `limit`: the most runs to do, starting with the first missing one.
 
