@@ -2,8 +2,10 @@
 
 import os
 import re
+import shlex
 import subprocess
 import sys
+from io import StringIO
 from pathlib import Path
 
 import pytest
@@ -14,7 +16,7 @@ import diffshadow.study
 from diffshadow.cli import main
 from diffshadow.cli._jax import join_processes
 from diffshadow.config import Config, load_config
-from diffshadow.console import WIDTH_OF_FILES, Console
+from diffshadow.console import WIDTH_OF_FILES, Command, Console, print_next, source
 from diffshadow.study.runs._check import Checked
 
 QUICKSTART = Path(__file__).parent.parent / "configs" / "quickstart.yaml"
@@ -73,6 +75,35 @@ def test_a_run_s_folder_stands_for_what_the_run_found(command, runner, tmp_path,
     # A file is meant as it is.
     assert run(command, folder / "config.yaml") == 0
     assert runner[1].bias.constant == 1
+
+
+def test_commands_that_follow_are_relative_or_absolute_alike_and_no_options(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    commands = [Command("Fit it.", ["fit", Path("-a b.glb"), "bias.slope=1"]), Command("See it.", ["view", Path("c")])]
+    for more, place in ([], ""), ([Command("Write it.", ["report", tmp_path / "d"])], f"{tmp_path}/"):
+        console = Console(file=StringIO())
+        print_next(console, [*commands, *more])
+        lines = console.file.getvalue().splitlines()
+        first, second, *_ = (line for line in lines if line.startswith("  diffshadow"))
+        assert shlex.split(first) == ["diffshadow", "fit", f"{place or './'}-a b.glb", "bias.slope=1"]
+        assert second == f"  diffshadow view {place}c"
+
+
+def test_a_configuration_of_the_package_is_no_path():
+    assert source(Path("builtin:quickstart")) == "builtin:quickstart"
+    assert (
+        Command("", ["fit", source(Path("builtin:quickstart"))]).anywhere().text == "diffshadow fit builtin:quickstart"
+    )
+
+
+def test_init_names_its_file_in_the_commands_that_follow(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert run("init", "three_js", "--output", "my x.yaml") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line for line in lines if "  diffshadow" in line] == [
+        f"  diffshadow {verb} 'my x.yaml'" for verb in ("fit", "view", "render")
+    ]
+    assert lines[-1] == "my x.yaml"
 
 
 def test_render_writes_debug_views_on_request(runner):
@@ -196,7 +227,7 @@ def test_table_of_settings_obeys_no_control_characters(tmp_path, capsys, monkeyp
     assert run("validate", file, "name=x") == 0
     out = capsys.readouterr().out
     assert out.replace("\n", "").isprintable()
-    assert "/\\x1b[1m\\n/\\x85\\udcff.yaml is valid; its scene has 12 triangles" in out.splitlines()[-1]
+    assert "/\\x1b[1m\\n/\\x85\\udcff.yaml is valid; its scene has 12 triangles\n" in out
 
 
 def test_disk_trouble_is_reported_without_a_traceback(monkeypatch, capsys):

@@ -8,7 +8,7 @@ from rich.text import Text
 from .._words import counted
 from ..config import DEFAULT_TEMPLATE, describe, printable, write_template
 from ..console import Console
-from ._app import app, loaded, print_notes, print_path
+from ._app import app, loaded, print_end, print_notes, to_try
 from ._jax import join_processes, start_jax
 
 
@@ -29,7 +29,7 @@ def init(template: str = DEFAULT_TEMPLATE, /, *, mesh: Path | None = None, outpu
     """
     written, notes = write_template(template, mesh, output)
     print_notes(notes)
-    print_path(written)
+    print_end(written, to_try(written))
 
 
 @app.command
@@ -57,7 +57,8 @@ def fit(config: Path, /, *overrides: str, distributed: bool = False) -> None:
     start_jax()
     from .. import study
 
-    print_path(study.run_fit(settings, console=Console()))
+    folder = study.run_fit(settings, console=Console(names_stages=True))
+    print_end(folder, study.next_after(folder))
 
 
 @app.command
@@ -81,7 +82,8 @@ def render(config: Path, /, *overrides: str, debug: bool = False) -> None:
     start_jax()
     from .. import study
 
-    print_path(study.run_render(settings, console=Console(), debug=debug))
+    folder = study.run_render(settings, console=Console(names_stages=True), debug=debug)
+    print_end(folder, study.next_after(folder))
 
 
 @app.command
@@ -115,7 +117,7 @@ def validate(config: Path, /, *overrides: str, preview: bool = False) -> None:
     console.print(Text(message), soft_wrap=True)
     if checked.preview is not None:
         console.print(f"{checked.shadow:.1%} of the picture is in shadow")
-        print_path(checked.preview)
+    print_end(checked.preview, to_try(config, overrides))
 
 
 @app.command
