@@ -82,10 +82,8 @@ def after_comparison(folders: Sequence[Path], page: Path) -> list[Command]:
 
 
 def _again(command: str) -> Command:
-    """The command of a sweep, `diffshadow VERB CONFIG …`. A configuration that is found is a path."""
-    verb, given, *others = shlex.split(command)[1:]
-    words = [verb, Path(given) if Path(given).is_file() else given, *others]
-    return Command("Do it again; runs that are done are kept.", words)
+    """The command of a sweep, whose paths are absolute."""
+    return Command("Do it again; runs that are done are kept.", shlex.split(command)[1:])
 
 
 def after_advice(folder: Path, engine: EngineName | None, command: str) -> list[Command]:

@@ -5,7 +5,6 @@ import fcntl
 import itertools
 import json
 import os
-import shlex
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -18,6 +17,7 @@ from rich.table import Table
 from ... import io
 from ..._words import counted
 from ...config import LABEL, Sweep, SweepRun, describe
+from ...console import Command, source
 from ..pages import _table as table
 from ..record._files import RESULT, write_record
 from ..record._folder import folder_of, remove, write_whole
@@ -355,7 +355,8 @@ def about(sweep: Sweep, kind: type[SweepRecord | AdviseRecord], counts: Mapping[
         "failed": counts.get(FAILED, 0),
         "settings": sweep.settings,
         "versions": versions(),
-        "command": shlex.join(["diffshadow", verb, sweep.source, *sweep.overrides]),
+        # Its page cannot know the folder in which it is pasted.
+        "command": Command("", [verb, source(Path(sweep.source)), *sweep.overrides]).anywhere().text,
     }
 
 
