@@ -16,7 +16,9 @@ import diffshadow.study
 from diffshadow.cli import main
 from diffshadow.cli._jax import join_processes
 from diffshadow.config import Config, load_config
-from diffshadow.console import WIDTH_OF_FILES, Command, Console, print_next, source
+from diffshadow.console import WIDTH_OF_FILES, Command, Console, print_next, print_table, source
+from diffshadow.shadow import EngineSetting
+from diffshadow.study.pages._table import print_rows, print_settings
 from diffshadow.study.runs._check import Checked
 
 QUICKSTART = Path(__file__).parent.parent / "configs" / "quickstart.yaml"
@@ -433,3 +435,53 @@ def test_of_several_processes_the_first_prints(number, monkeypatch, capsys):
     if number:
         sys.stdout.close()
     assert capsys.readouterr().out == ("" if number else "printed\n")
+
+
+def of_width(width, show, *arguments):
+    console = Console(file=StringIO(), width=width)
+    show(console, *arguments)
+    return console.file.getvalue()
+
+
+def numbered():
+    table = Table("bias", "filter", "map", "RMSE [visibility]", "fitted", title="ranked")
+    table.columns[2].justify = table.columns[3].justify = "right"
+    table.add_row("constant and a normal offset", "random_disk", "1024²", "0.0407", "16.25 to 30.5 (bound)")
+    table.add_row("scene/of/a/path_that_is_long_and_has_no_digit", "", "512²", "0.1234", "-1.5")
+    return table
+
+
+@pytest.mark.parametrize("width", [200, 100, 80, 60, 40, 24])
+def test_tables_cut_no_number_and_no_word_on_narrow_consoles(width):
+    out = of_width(width, print_table, numbered())
+    assert "…" not in out
+    for number in ("1024²", "0.0407", "16.25 to 30.5 (bound)" if width > 40 else "(bound)", "512²", "0.1234", "-1.5"):
+        assert number in out
+    # A path is whole in a block.
+    assert max(map(len, out.splitlines())) <= max(width, 47)
+    # A table as long as its numbers fit, and blocks below that.
+    assert ("┏" in out) == (width >= 80)
+    if width >= 80:
+        assert max(map(len, out.splitlines())) <= width
+    else:
+        assert "  fitted: 16.25 to 30.5" in out
+        assert "filter: \n" not in out
+
+
+@pytest.mark.parametrize(("width", "lines"), [(120, 1), (60, 2), (30, 3)])
+def test_settings_of_engines_have_their_value_whole_on_narrow_consoles(width, lines):
+    setting = EngineSetting("Babylon.js", "generator.bias (NONE, POISSON, ESM)", 0.020471, "window depth", True)
+    title, *out = of_width(width, print_settings, "of the light", [setting]).splitlines()
+    assert title == "of the light"
+    assert len(out) == lines
+    assert max(map(len, out)) <= width
+    assert out[-1].split()[-3] == "0.02047"
+
+
+@pytest.mark.parametrize("width", [100, 50])
+def test_errors_of_techniques_are_whole_on_narrow_consoles(width):
+    errors = {"rmse": 0.0407, "false_shadow_rate": 0.00123, "false_light_rate": 0.5}
+    out = of_width(width, print_rows, {"this configuration": errors})
+    assert max(map(len, out.splitlines())) <= width
+    for number in ("RMSE 0.0407", "false shadow 0.123%", "50.000%"):
+        assert number in out

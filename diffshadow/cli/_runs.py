@@ -7,7 +7,7 @@ from rich.text import Text
 
 from .._words import counted
 from ..config import DEFAULT_TEMPLATE, describe, printable, write_template
-from ..console import Console
+from ..console import Console, print_table
 from ._app import app, loaded, print_end, print_notes, to_try
 from ._jax import join_processes, start_jax
 
@@ -112,7 +112,7 @@ def validate(config: Path, /, *overrides: str, preview: bool = False) -> None:
     table = Table("setting", "value", "unit", title=Text(settings.name), title_justify="left")
     for row in describe(settings):
         table.add_row(*(Text(printable(cell)) for cell in row))
-    console.print(table)
+    print_table(console, table)
     message = printable(f"{config} is valid; its scene has {counted(checked.triangles, 'triangle')}")
     console.print(Text(message), soft_wrap=True)
     if checked.preview is not None:
@@ -140,8 +140,8 @@ def cache(*, clear: bool = False) -> None:
     table = Table("kept", "entries", "MiB", "folder")
     for what, folder in (("traced references", io.cache_folder()), ("compiled programs", io.programs_folder())):
         entries, size = io.cache_size(folder)
-        table.add_row(what, f"{entries:,}", f"{size / (1 << 20):,.1f}", Text(printable(str(folder)), overflow="fold"))
+        table.add_row(what, f"{entries:,}", f"{size / (1 << 20):,.1f}", Text(printable(str(folder))))
         if clear:
             io.clear_cache(folder)
-    console.print(table)
+    print_table(console, table)
     console.print("removed all of them" if clear else "to remove them: diffshadow cache --clear")

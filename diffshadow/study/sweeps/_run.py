@@ -17,7 +17,7 @@ from rich.table import Table
 from ... import io
 from ..._words import counted
 from ...config import LABEL, Sweep, SweepRun, describe
-from ...console import Command, source
+from ...console import Command, print_table, source
 from ..pages import _table as table
 from ..record._files import RESULT, write_record
 from ..record._folder import folder_of, remove, write_whole
@@ -169,7 +169,7 @@ def print_plan(console: Console, sweep: Sweep, limit: int | None = None, suffix:
         some = values[:_MAX_SHOWN] + ["…"] * (len(values) > _MAX_SHOWN)
         between = "; " if axis == LABEL else ", "
         axes.add_row(table.words(axis), f"{len(values)}", table.words(between.join(some)))
-    console.print(axes)
+    print_table(console, axes)
     count, shown = len(sweep.runs), min(limit or _MAX_SHOWN, _MAX_SHOWN)
     if count <= MAX_LISTED:
         with counting(console, "checking", count) as progress:
@@ -391,7 +391,7 @@ def _print(console: Console, sweep: Sweep, results: Columns, curves: Sequence[Cu
                 shown.add_row(
                     table.words(name), *(f"{number:.4g}" for number in (values.min(), values.mean(), values.max()))
                 )
-    console.print(shown)
+    print_table(console, shown)
 
 
 def _summary(sweep: Sweep, counts: Mapping[str, int], tried: int, table: str) -> list[str]:
