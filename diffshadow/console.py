@@ -52,12 +52,15 @@ class Console(rich.console.Console):
 def print_table(console: rich.console.Console, table: Table) -> None:
     """Prints a table, and cuts no number and no word, however narrow the console is.
 
-    Where the table is too wide, text goes on in further lines of its cells. Where that is too wide still, each row is a
-    block, with a line for each cell.
+    Where the table is too wide, text goes on in further lines of its cells, and spaces beside cells are left out. Where
+    that is too wide still, each row is a block, with a line for each cell.
     """
     columns, between = table.columns, _BESIDE_CELL * len(table.columns) + 1
     whole = [max(map(cell_len, _cells(column))) for column in columns]
     least = [max(map(_least_width, _cells(column))) for column in columns]
+    if sum(least) + between > console.width:
+        # Without the spaces beside its cells.
+        table.padding, between = 0, len(columns) + 1
     if sum(least) + between > console.width:
         _print_stacked(console, table)
         return

@@ -67,7 +67,14 @@ for (const image of document.querySelectorAll("main img")) {
   image.addEventListener("keydown", (event) => event.key === "Enter" && show());
 }
 
-// Tables that are wider than the page scroll in their own box, with the keyboard too.
-for (const box of document.querySelectorAll(".wide, .chart")) {
-  if (box.scrollWidth > box.clientWidth) box.tabIndex = 0;
-}
+// Tables and plots that are wider than the page scroll in their own box, with the keyboard too, and say so.
+const watched = new ResizeObserver((boxes) => {
+  for (const { target } of boxes) {
+    // The hint itself must not count.
+    target.classList.remove("scrolls");
+    const scrolls = target.scrollWidth > target.clientWidth + 1;
+    target.classList.toggle("scrolls", scrolls);
+    if (scrolls) target.tabIndex = 0;
+  }
+});
+for (const box of document.querySelectorAll(".wide, .chart")) watched.observe(box);
