@@ -68,13 +68,18 @@ for (const image of document.querySelectorAll("main img")) {
 }
 
 // Tables and plots that are wider than the page scroll in their own box, with the keyboard too, and say so.
-const watched = new ResizeObserver((boxes) => {
-  for (const { target } of boxes) {
-    // The hint itself must not count.
-    target.classList.remove("scrolls");
-    const scrolls = target.scrollWidth > target.clientWidth + 1;
-    target.classList.toggle("scrolls", scrolls);
-    if (scrolls) target.tabIndex = 0;
-  }
-});
-for (const box of document.querySelectorAll(".wide, .chart")) watched.observe(box);
+const hint = (box) => {
+  // The hint itself must not count.
+  box.classList.remove("scrolls");
+  if (box.scrollWidth <= box.clientWidth) return;
+  box.classList.add("scrolls");
+  box.tabIndex = 0;
+};
+const watched = new ResizeObserver((boxes) => boxes.forEach(({ target }) => hint(target)));
+for (const box of document.querySelectorAll(".wide, .chart")) {
+  hint(box);
+  watched.observe(box);
+}
+for (const details of document.querySelectorAll("details")) {
+  details.addEventListener("toggle", () => details.querySelectorAll(".wide, .chart").forEach(hint));
+}
