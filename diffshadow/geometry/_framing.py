@@ -4,7 +4,9 @@ All is in a world with `+y` up, in any unit. A view is rated by samples of the c
 points into a small image, together with their shadows.
 """
 
+import itertools
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -37,7 +39,11 @@ _LOWEST = 4.0
 _LAMP_ABOVE = 0.1
 _SAMPLES, _PIXELS = 1 << 13, 48
 # Of a room: heights of eye and lamp above the floor, as parts of the room's, and the part of the way to the wall.
-_EYE, _LAMP, _TO_WALL, _LOOKS_AT = 0.62, 0.85, 0.85, 0.2
+# The first of equal ones is taken, and a later one must be better by a factor.
+_EYES, _LAMP, _TO_WALL, _LOOKS_AT = (0.62, 0.8), 0.85, (0.85, 0.93), 0.2
+_BETTER_INSIDE = 1.02
+# Percentiles of directions between which most of what stands in a room is.
+_FEW = (3, 97)
 _AROUND = 16
 # Full field of view of a camera in a room, degrees.
 ROOM_FOV = 70.0
@@ -201,7 +207,7 @@ def frame_inside(corners: Corners, inside: Inside, lens: Lens, lamp: Vector | No
     tall = inside.ceiling - inside.floor
     angles = np.arange(_AROUND) * 2 * np.pi / _AROUND
     directions = np.stack([np.sin(angles), np.zeros(_AROUND), np.cos(angles)], axis=-1)
-    start = np.array([inside.point[0], inside.floor + _EYE * tall, inside.point[2]])
+    start = np.array([inside.point[0], inside.floor + _EYES[0] * tall, inside.point[2]])
     distance = free_distance(corners, start, directions)
     # Windows let rays out.
     distance = np.where(np.isfinite(distance), distance, 0)
@@ -213,23 +219,34 @@ def frame_inside(corners: Corners, inside: Inside, lens: Lens, lamp: Vector | No
     fallen = stands[:0] if lamp is None else shadow_of(stands, FrameLight(None, lamp), inside.floor)
     low, high = samples.min(axis=0), samples.max(axis=0)
     fallen = fallen[((fallen >= low) & (fallen <= high))[:, [0, 2]].all(axis=1)]
+    shown = np.concatenate([stands, fallen])
     best, most = None, 0.0
     for k in np.argsort(-distance, kind="stable"):
-        eye = start + _TO_WALL * distance[k] * directions[k]
-        across = _LOOKS_AT * distance[(k + _AROUND // 2) % _AROUND]
-        targets = [start - across * directions[k], *([stands.mean(axis=0)] if len(stands) else [])]
-        for target in targets:
-            target = target.copy()
-            target[1] = inside.floor + _LOOKS_AT * tall
-            if np.linalg.norm((target - eye)[[0, 2]]) < _LOOKS_AT * distance[k]:
-                continue
-            axes = _axes_of(eye - target)
-            shadow, casters = (_seen(some, samples, axes, eye, wide, tall) for some in (fallen, stands))
-            worth = shadow + casters
-            if best is None or worth > _BETTER * most:
-                best, most = Framed(eye, target, 2 * tall, shadow, casters), worth
+        across = start - _LOOKS_AT * distance[(k + _AROUND // 2) % _AROUND] * directions[k]
+        across[1] = inside.floor + _LOOKS_AT * tall
+        for height, part in itertools.product(_EYES, _TO_WALL):
+            eye = start + part * distance[k] * directions[k]
+            eye[1] = inside.floor + height * tall
+            for target in [across, *([_amid(shown, eye)] if len(shown) else [])]:
+                shadow, casters = _seen([fallen, stands], samples, _axes_of(eye - target), eye, wide, tall)
+                if best is None or shadow + casters > _BETTER_INSIDE * most:
+                    best, most = Framed(eye, target, 2 * tall, shadow, casters), shadow + casters
     assert best is not None
     return best
+
+
+def _amid(points: Points, eye: Vector) -> Vector:
+    """A point in the middle of the directions in which an eye sees `points`, a few of them aside."""
+    x, y, z = (points - eye).T
+    middle = math.atan2(x.mean(), z.mean())
+    # Counted from the mean direction, angles do not jump.
+    turn = np.arctan2(x, z) - middle
+    turn = (turn + np.pi) % (2 * np.pi) - np.pi
+    away = np.hypot(x, z)
+    azimuth, elevation = (np.percentile(each, _FEW).mean() for each in (turn, np.arctan2(y, away)))
+    across, upward = math.cos(elevation), math.sin(elevation)
+    direction = np.array([across * math.sin(middle + azimuth), upward, across * math.cos(middle + azimuth)])
+    return eye + float(away.mean()) * direction
 
 
 def _is_of_walls(corners: Corners) -> Bool[HostArray, " f"]:
@@ -240,15 +257,18 @@ def _is_of_walls(corners: Corners) -> Bool[HostArray, " f"]:
     return (at_low | at_high).any(axis=1)
 
 
-def _seen(some: Points, hiding: Points, axes: Float[HostArray, "3 3"], eye: Vector, lens: Lens, half: float) -> float:
-    """The part of `some` points that is in the picture and not hidden by the samples `hiding`."""
-    if not len(some):
-        return 0.0
+def _seen(
+    each: Sequence[Points], hiding: Points, axes: Float[HostArray, "3 3"], eye: Vector, lens: Lens, half: float
+) -> list[float]:
+    """The part of `each` of some sets of points that is in the picture and not hidden by the samples `hiding`."""
     nearest = np.full(_PIXELS * _PIXELS, np.inf)
     pixel, depth, inside = _pixels(hiding, axes, eye, lens, half)
     np.minimum.at(nearest, pixel[inside], depth[inside])
-    pixel, depth, inside = _pixels(some, axes, eye, lens, half)
-    return float((inside & (depth <= _HIDDEN * nearest[pixel])).mean())
+    parts = []
+    for points in each:
+        pixel, depth, inside = _pixels(points, axes, eye, lens, half)
+        parts.append(float((inside & (depth <= _HIDDEN * nearest[pixel])).mean()) if len(points) else 0.0)
+    return parts
 
 
 def lamp_in(inside: Inside) -> Vector:
