@@ -98,9 +98,11 @@ def height_field_of(corners: Corners) -> Ground | None:
     """
     low, high = corners[..., (0, 2)].min(axis=(0, 1)), corners[..., (0, 2)].max(axis=(0, 1))
     outline = np.prod(high - low)
-    areas = np.abs(_cross(corners[..., (0, 2)])) / 2
-    if not areas.sum() > _SPREAD * outline:
+    signed = _cross(corners[..., (0, 2)]) / 2
+    # The areas of a closed object cancel, so that large ones are not taken apart.
+    if not abs(signed.sum()) > _SPREAD * outline:
         return None
+    areas = np.abs(signed)
     piece = _pieces(corners)
     largest = np.bincount(piece, areas).argmax()
     faces = piece == largest
