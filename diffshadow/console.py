@@ -1,25 +1,44 @@
-"""The console that the command and the experiments print to."""
+"""The console that the command and the experiments print to, and the commands that it prints."""
 
-from collections.abc import Iterator
-from typing import Any
+import re
+import shlex
+import textwrap
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import rich.console
+from rich.cells import cell_len
 from rich.segment import Segment
+from rich.table import Column, Table
+from rich.text import Text
 
-from .config import printable
+from .config import BUILTIN, printable
 
 WIDTH_OF_FILES = 200
 """In characters."""
+# Spaces and a line beside each cell of a table.
+_BESIDE_CELL = 3
+# Longer words without a digit may be broken.
+_BROKEN = 16
+# A cell that begins with a number.
+_NUMBER = re.compile(r"[-+]?\.?\d")
 
 
 class Console(rich.console.Console):
     """A console that writes unprintable characters as Python's escapes.
 
     A file or a pipe is wide, whatever `COLUMNS` says, so that no cell of a table is cut off.
+
+    **Arguments:**
+
+    - `names_stages`: whether a run that prints here prints a line for each of its stages, if this is no terminal, which
+      shows a bar.
     """
 
-    def __init__(self, *, width: int | None = None, **options: Any):
+    def __init__(self, *, width: int | None = None, names_stages: bool = False, **options: Any):
         super().__init__(highlight=False, width=width, **options)
+        self.names_stages = names_stages and not self.is_terminal
         if width is None and not (self.file.isatty() or self.is_jupyter):
             self.width = WIDTH_OF_FILES
 
@@ -28,3 +47,114 @@ class Console(rich.console.Console):
         for segment in super().render(*args, **kwargs):
             plain = "\n".join(map(printable, segment.text.split("\n")))
             yield segment if segment.control else segment._replace(text=plain)
+
+
+def print_table(console: rich.console.Console, table: Table) -> None:
+    """Prints a table, and cuts no number and no word, however narrow the console is.
+
+    Where the table is too wide, text goes on in further lines of its cells, and spaces beside cells are left out. Where
+    that is too wide still, each row is a block, with a line for each cell.
+    """
+    columns, between = table.columns, _BESIDE_CELL * len(table.columns) + 1
+    whole = [max(map(cell_len, _cells(column))) for column in columns]
+    least = [max(map(_least_width, _cells(column))) for column in columns]
+    if sum(least) + between > console.width:
+        # Without the spaces beside its cells.
+        table.padding, between = 0, len(columns) + 1
+    if sum(least) + between > console.width:
+        _print_stacked(console, table)
+        return
+    left = max(console.width - between - sum(least), 0)
+    for column, width, most in sorted(zip(columns, least, whole, strict=True), key=lambda each: each[2] - each[1]):
+        # The narrowest have all that they ask for.
+        given = min(most - width, left)
+        column.width, column.no_wrap, column.overflow, left = width + given, False, "fold", left - given
+    console.print(table)
+
+
+def _print_stacked(console: rich.console.Console, table: Table) -> None:
+    """Prints each row of a table as a block, which its first cell heads."""
+    if table.title:
+        console.print(Text(_plain(table.title), "italic"), soft_wrap=True)
+    heads = [_plain(column.header) for column in table.columns]
+    for row in zip(*(_cells(column)[1:] for column in table.columns), strict=True):
+        (_, name), *others = zip(heads, row, strict=True)
+        print_folded(console, name, style="bold")
+        for head, text in others:
+            if text.strip():
+                print_folded(console, f"{head}: {text}" if head else text, indent=2)
+
+
+def print_folded(console: rich.console.Console, text: str, *, indent: int = 0, style: str = "") -> None:
+    """Prints `text` in lines that are as wide as the console, broken between words, behind `indent` spaces."""
+    width = max(console.width - indent, 1)
+    for line in textwrap.wrap(text, width, break_long_words=False, break_on_hyphens=False):
+        console.print(Text(" " * indent + line, style), soft_wrap=True)
+
+
+def _cells(column: Column) -> list[str]:
+    """The head and the cells of a column."""
+    return [_plain(column.header), *map(_plain, column.cells)]
+
+
+def _plain(cell: Any) -> str:
+    return printable(cell.plain if isinstance(cell, Text) else Text.from_markup(str(cell)).plain)
+
+
+def _least_width(cell: str) -> int:
+    """Of the longest word. A number and what stands beside it are one word, and a long word without a digit, such as a
+    path, may be broken."""
+    if _NUMBER.match(cell):
+        return cell_len(cell)
+    has_digit = lambda word: any(map(str.isdigit, word))
+    return max(
+        (cell_len(word) if has_digit(word) else min(cell_len(word), _BROKEN) for word in cell.split()), default=0
+    )
+
+
+class Command(NamedTuple):
+    """A command to copy.
+
+    - `why`: what it does, in a sentence.
+    - `words`: what follows the program's name. A path is a `Path`, and any other word a text.
+    """
+
+    why: str
+    words: Sequence[Path | str]
+
+    @property
+    def text(self) -> str:
+        """The command, quoted for a shell."""
+        return shlex.join(["diffshadow", *map(_word, self.words)])
+
+    @property
+    def is_absolute(self) -> bool:
+        """Whether it has an absolute path."""
+        return any(isinstance(word, Path) and word.is_absolute() for word in self.words)
+
+    def anywhere(self) -> "Command":
+        """The command with absolute paths, which runs in any folder."""
+        return self._replace(words=[word.absolute() if isinstance(word, Path) else word for word in self.words])
+
+
+def source(given: Path) -> Path | str:
+    """A configuration as a word of a command: `builtin:NAME` is no path."""
+    return str(given) if str(given).startswith(BUILTIN) else given
+
+
+def print_next(console: rich.console.Console, commands: Sequence[Command]) -> None:
+    """Prints what to do next. If one path is absolute, all are."""
+    if not commands:
+        return
+    if any(each.is_absolute for each in commands):
+        commands = [each.anywhere() for each in commands]
+    console.print(Text("what to do next:", "bold"))
+    for each in commands:
+        # In one line each, so that they can be copied.
+        console.print(Text(printable(f"  {each.text}")), soft_wrap=True)
+        console.print(Text(printable(f"    {each.why}"), "dim"), soft_wrap=True)
+
+
+def _word(word: Path | str) -> str:
+    # A path with a dash in front would be read as an option.
+    return f"./{word}" if isinstance(word, Path) and str(word).startswith("-") else str(word)

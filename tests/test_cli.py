@@ -2,8 +2,10 @@
 
 import os
 import re
+import shlex
 import subprocess
 import sys
+from io import StringIO
 from pathlib import Path
 
 import pytest
@@ -14,7 +16,9 @@ import diffshadow.study
 from diffshadow.cli import main
 from diffshadow.cli._jax import join_processes
 from diffshadow.config import Config, load_config
-from diffshadow.console import WIDTH_OF_FILES, Console
+from diffshadow.console import WIDTH_OF_FILES, Command, Console, print_next, print_table, source
+from diffshadow.shadow import EngineSetting
+from diffshadow.study.pages._table import print_rows, print_settings
 from diffshadow.study.runs._check import Checked
 
 QUICKSTART = Path(__file__).parent.parent / "configs" / "quickstart.yaml"
@@ -73,6 +77,35 @@ def test_a_run_s_folder_stands_for_what_the_run_found(command, runner, tmp_path,
     # A file is meant as it is.
     assert run(command, folder / "config.yaml") == 0
     assert runner[1].bias.constant == 1
+
+
+def test_commands_that_follow_are_relative_or_absolute_alike_and_no_options(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    commands = [Command("Fit it.", ["fit", Path("-a b.glb"), "bias.slope=1"]), Command("See it.", ["view", Path("c")])]
+    for more, place in ([], ""), ([Command("Write it.", ["report", tmp_path / "d"])], f"{tmp_path}/"):
+        console = Console(file=StringIO())
+        print_next(console, [*commands, *more])
+        lines = console.file.getvalue().splitlines()
+        first, second, *_ = (line for line in lines if line.startswith("  diffshadow"))
+        assert shlex.split(first) == ["diffshadow", "fit", f"{place or './'}-a b.glb", "bias.slope=1"]
+        assert second == f"  diffshadow view {place}c"
+
+
+def test_a_configuration_of_the_package_is_no_path():
+    assert source(Path("builtin:quickstart")) == "builtin:quickstart"
+    assert (
+        Command("", ["fit", source(Path("builtin:quickstart"))]).anywhere().text == "diffshadow fit builtin:quickstart"
+    )
+
+
+def test_init_names_its_file_in_the_commands_that_follow(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert run("init", "three_js", "--output", "my x.yaml") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line for line in lines if "  diffshadow" in line] == [
+        f"  diffshadow {verb} 'my x.yaml'" for verb in ("fit", "view", "render")
+    ]
+    assert lines[-1] == "my x.yaml"
 
 
 def test_render_writes_debug_views_on_request(runner):
@@ -196,7 +229,7 @@ def test_table_of_settings_obeys_no_control_characters(tmp_path, capsys, monkeyp
     assert run("validate", file, "name=x") == 0
     out = capsys.readouterr().out
     assert out.replace("\n", "").isprintable()
-    assert "/\\x1b[1m\\n/\\x85\\udcff.yaml is valid; its scene has 12 triangles" in out.splitlines()[-1]
+    assert "/\\x1b[1m\\n/\\x85\\udcff.yaml is valid; its scene has 12 triangles\n" in out
 
 
 def test_disk_trouble_is_reported_without_a_traceback(monkeypatch, capsys):
@@ -402,3 +435,53 @@ def test_of_several_processes_the_first_prints(number, monkeypatch, capsys):
     if number:
         sys.stdout.close()
     assert capsys.readouterr().out == ("" if number else "printed\n")
+
+
+def of_width(width, show, *arguments):
+    console = Console(file=StringIO(), width=width)
+    show(console, *arguments)
+    return console.file.getvalue()
+
+
+def numbered():
+    table = Table("bias", "filter", "map", "RMSE [visibility]", "fitted", title="ranked")
+    table.columns[2].justify = table.columns[3].justify = "right"
+    table.add_row("constant and a normal offset", "random_disk", "1024²", "0.0407", "16.25 to 30.5 (bound)")
+    table.add_row("scene/of/a/path_that_is_long_and_has_no_digit", "", "512²", "0.1234", "-1.5")
+    return table
+
+
+@pytest.mark.parametrize("width", [200, 100, 80, 60, 40, 24])
+def test_tables_cut_no_number_and_no_word_on_narrow_consoles(width):
+    out = of_width(width, print_table, numbered())
+    assert "…" not in out
+    for number in ("1024²", "0.0407", "16.25 to 30.5 (bound)" if width > 40 else "(bound)", "512²", "0.1234", "-1.5"):
+        assert number in out
+    # A path is whole in a block.
+    assert max(map(len, out.splitlines())) <= max(width, 47)
+    # A table as long as its numbers fit, and blocks below that.
+    assert ("┏" in out) == (width >= 80)
+    if width >= 80:
+        assert max(map(len, out.splitlines())) <= width
+    else:
+        assert "  fitted: 16.25 to 30.5" in out
+        assert "filter: \n" not in out
+
+
+@pytest.mark.parametrize(("width", "lines"), [(120, 1), (60, 2), (30, 3)])
+def test_settings_of_engines_have_their_value_whole_on_narrow_consoles(width, lines):
+    setting = EngineSetting("Babylon.js", "generator.bias (NONE, POISSON, ESM)", 0.020471, "window depth", True)
+    title, *out = of_width(width, print_settings, "of the light", [setting]).splitlines()
+    assert title == "of the light"
+    assert len(out) == lines
+    assert max(map(len, out)) <= width
+    assert out[-1].split()[-3] == "0.02047"
+
+
+@pytest.mark.parametrize("width", [100, 50])
+def test_errors_of_techniques_are_whole_on_narrow_consoles(width):
+    errors = {"rmse": 0.0407, "false_shadow_rate": 0.00123, "false_light_rate": 0.5}
+    out = of_width(width, print_rows, {"this configuration": errors})
+    assert max(map(len, out.splitlines())) <= width
+    for number in ("RMSE 0.0407", "false shadow 0.123%", "50.000%"):
+        assert number in out

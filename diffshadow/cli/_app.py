@@ -10,10 +10,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.text import Text
 
 from ..config import Config, load_config, printable, settings_file
-from ..console import Console
+from ..console import Command, Console, print_next, source
 
 SUCCESS, USER_ERROR, INTERRUPTED = 0, 2, 130
 """Exit codes: success; a mistake of the user's; stopped by Ctrl-C."""
+
+# So many commands are printed at the end of one.
+_MOST_NEXT = 3
 
 _HELP = """
 Fits the settings of shadow maps to a ray-traced reference, using gradients.
@@ -79,6 +82,23 @@ def print_notes(notes: Iterable[str]) -> None:
 
 def print_path(path: Path) -> None:
     Console().print(Text(printable(str(path))), soft_wrap=True)
+
+
+def print_end(path: Path | None, commands: Sequence[Command]) -> None:
+    """Prints what to do next, and at last the path that a command made, for scripts."""
+    print_next(Console(), commands[:_MOST_NEXT])
+    if path is not None:
+        print_path(path)
+
+
+def to_try(config: Path, overrides: Sequence[str] = ()) -> list[Command]:
+    """What to do with a configuration that is new."""
+    given = source(config)
+    return [
+        Command("Fit its settings; a report shows the result.", ["fit", given, *overrides]),
+        Command("See it in the browser, and change its settings by hand.", ["view", given, *overrides]),
+        Command("Draw it without fitting.", ["render", given, *overrides]),
+    ]
 
 
 def check_count(option: str, value: int | None, least: int, most: int | None = None) -> None:

@@ -3,11 +3,11 @@
 from pathlib import Path
 
 from ..config import load_config, settings_file
-from ..console import Console
+from ..console import Command, Console, source
 from ..settings.engines import EngineName, ImportedTechnique, ShadowType, ThreeJs
 from ..settings.scene import LightKind
 from ..settings.techniques import ShaderLanguage
-from ._app import app, print_notes, print_path
+from ._app import app, print_end, print_notes, to_try
 from ._jax import start_jax
 
 
@@ -43,6 +43,11 @@ def convert(config: Path, /, *overrides: str, engine: EngineName | None = None) 
     from .. import study
 
     study.convert(settings, console=Console(), origin=origin, source=config, overrides=overrides, engine=engine)
+    given = source(config)
+    commands = [study.for_engine(given, overrides, engine), study.to_view(given, overrides)]
+    if settings.technique.type == "shadow_map":
+        commands.append(Command("Write it as a shader for a renderer of your own.", ["export", given, *overrides]))
+    print_end(None, commands)
 
 
 @app.command
@@ -83,7 +88,8 @@ def export(
 
     folder = Path(f"{settings.name}-shader") if output is None else output
     compared = study.compared_with(settings, file, overrides) if page else None
-    print_path(study.export_shader(settings, folder, shader, console=Console(), origin=origin, compared=compared))
+    made = study.export_shader(settings, folder, shader, console=Console(), origin=origin, compared=compared)
+    print_end(made, [study.to_view(source(config), overrides), study.to_convert(source(config), overrides)])
 
 
 @app.command
@@ -137,6 +143,7 @@ def defaults(
 
     of_map = study.LightOptions(light, map, window, depth, angle, near, distance)
     study.print_defaults(console=Console(), filter=filter, radius=radius, engine=engine, of_map=of_map)
+    print_end(None, study.after_defaults(filter, radius, engine))
 
 
 @app.command(name="import")
@@ -184,4 +191,4 @@ def import_(
         shadow_type=shadow_type,
         output=output,
     )
-    print_path(made)
+    print_end(made, to_try(made))

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from ..console import Console
 from ..settings.quantities import MAX_TEXELS
-from ._app import SUCCESS, app, check_count, counting, loaded, print_path
+from ._app import SUCCESS, app, check_count, counting, loaded, print_end, to_try
 from ._jax import start_jax
 
 # More frames would take gigabytes.
@@ -39,6 +39,7 @@ def view(config: Path, /, *overrides: str, port: int = 0, browser: bool = True) 
     from ..viewer import run
 
     run(settings, name=str(config), console=Console(), port=port, browser=browser)
+    print_end(None, to_try(config, overrides)[::2])
     # Threads that draw or trace would delay an ordinary exit.
     sys.stdout.flush()
     os._exit(SUCCESS)
@@ -96,9 +97,10 @@ def animate(
         if overrides:
             raise ValueError(f"{overrides[0]} sets a value of a finished fit; expected its folder alone; leave it out")
         start_jax()
-        from .. import viewer
+        from .. import study, viewer
 
-        print_path(viewer.animate_run(source, output, pixels=pixels))
+        made_of = viewer.animate_run(source, output, pixels=pixels)
+        print_end(made_of, study.next_after(source))
         return
     settled = loaded(source, overrides)
     start_jax()
@@ -111,7 +113,7 @@ def animate(
         made = viewer.animate(settled, moving, file, **how, progress=progress)
     if made.flicker is not None:
         Console().print(f"flicker {made.flicker:.4f}: the error's RMS change from frame to frame", soft_wrap=True)
-    print_path(made.path)
+    print_end(made.path, to_try(source, overrides))
 
 
 @app.command
@@ -133,7 +135,8 @@ def report(folder: Path, /, *, figures: Literal["png", "svg", "pdf"] | None = No
     """
     from .. import study
 
-    print_path(study.report(folder, form=figures, dpi=dpi))
+    page = study.report(folder, form=figures, dpi=dpi)
+    print_end(page, study.next_after(folder))
 
 
 @app.command
@@ -161,4 +164,5 @@ def compare(first: Path, second: Path, /, *more: Path, output: Path = Path("comp
         )
     from .. import study
 
-    print_path(study.compare([first, second, *more], output, console=Console()))
+    folders = [first, second, *more]
+    print_end(study.compare(folders, output, console=Console()), study.after_comparison(folders, output))

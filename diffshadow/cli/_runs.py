@@ -7,8 +7,8 @@ from rich.text import Text
 
 from .._words import counted
 from ..config import DEFAULT_TEMPLATE, describe, printable, write_template
-from ..console import Console
-from ._app import app, loaded, print_notes, print_path
+from ..console import Console, print_table
+from ._app import app, loaded, print_end, print_notes, to_try
 from ._jax import join_processes, start_jax
 
 
@@ -29,7 +29,7 @@ def init(template: str = DEFAULT_TEMPLATE, /, *, mesh: Path | None = None, outpu
     """
     written, notes = write_template(template, mesh, output)
     print_notes(notes)
-    print_path(written)
+    print_end(written, to_try(written))
 
 
 @app.command
@@ -57,7 +57,8 @@ def fit(config: Path, /, *overrides: str, distributed: bool = False) -> None:
     start_jax()
     from .. import study
 
-    print_path(study.run_fit(settings, console=Console()))
+    folder = study.run_fit(settings, console=Console(names_stages=True))
+    print_end(folder, study.next_after(folder))
 
 
 @app.command
@@ -81,7 +82,8 @@ def render(config: Path, /, *overrides: str, debug: bool = False) -> None:
     start_jax()
     from .. import study
 
-    print_path(study.run_render(settings, console=Console(), debug=debug))
+    folder = study.run_render(settings, console=Console(names_stages=True), debug=debug)
+    print_end(folder, study.next_after(folder))
 
 
 @app.command
@@ -110,12 +112,12 @@ def validate(config: Path, /, *overrides: str, preview: bool = False) -> None:
     table = Table("setting", "value", "unit", title=Text(settings.name), title_justify="left")
     for row in describe(settings):
         table.add_row(*(Text(printable(cell)) for cell in row))
-    console.print(table)
+    print_table(console, table)
     message = printable(f"{config} is valid; its scene has {counted(checked.triangles, 'triangle')}")
     console.print(Text(message), soft_wrap=True)
     if checked.preview is not None:
         console.print(f"{checked.shadow:.1%} of the picture is in shadow")
-        print_path(checked.preview)
+    print_end(checked.preview, to_try(config, overrides))
 
 
 @app.command
@@ -138,8 +140,8 @@ def cache(*, clear: bool = False) -> None:
     table = Table("kept", "entries", "MiB", "folder")
     for what, folder in (("traced references", io.cache_folder()), ("compiled programs", io.programs_folder())):
         entries, size = io.cache_size(folder)
-        table.add_row(what, f"{entries:,}", f"{size / (1 << 20):,.1f}", Text(printable(str(folder)), overflow="fold"))
+        table.add_row(what, f"{entries:,}", f"{size / (1 << 20):,.1f}", Text(printable(str(folder))))
         if clear:
             io.clear_cache(folder)
-    console.print(table)
+    print_table(console, table)
     console.print("removed all of them" if clear else "to remove them: diffshadow cache --clear")

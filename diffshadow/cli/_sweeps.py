@@ -4,9 +4,9 @@ import os
 from pathlib import Path
 
 from ..config import load_advice, load_config, load_sweep
-from ..console import Console
+from ..console import Command, Console, source
 from ..settings.engines import EngineName
-from ._app import app, check_count, counting, file_of, print_notes, print_path
+from ._app import app, check_count, counting, file_of, print_end, print_notes
 from ._jax import start_jax
 
 # More workers would only wait for each other, and each takes a gigabyte.
@@ -56,9 +56,11 @@ def sweep(
 
     if dry_run:
         study.print_plan(Console(), plan, limit)
+        options = [] if limit is None else ["--limit", str(limit)]
+        print_end(None, [Command("Do these runs.", ["sweep", source(config), *overrides, *options])])
         return
     done = study.run_sweep(plan, console=Console(), scheduler=scheduler, workers=workers, limit=limit)
-    print_path(done)
+    print_end(done, study.next_after(done))
 
 
 @app.command
@@ -113,5 +115,8 @@ def advise(
             advice = study.engine_advice(file, overrides, engine, console=Console(), progress=progress)
     if dry_run:
         study.print_advise_plan(Console(), advice)
+        options = [] if engine is None else ["--engine", engine]
+        print_end(None, [Command("Do these fits.", ["advise", source(config), *overrides, *options])])
         return
-    print_path(study.run_advise(advice, console=Console(), scheduler=scheduler, workers=workers))
+    done = study.run_advise(advice, console=Console(), scheduler=scheduler, workers=workers)
+    print_end(done, study.next_after(done))

@@ -37,6 +37,7 @@ from .sections._fitted import fit_paths as fit_paths
 from .sections._fitted import fit_units as fit_units
 from .sections._fitted import is_limit as is_limit
 from .sections._images import REFERENCES as REFERENCES
+from .sections._scene import BUILTIN as BUILTIN
 from .sections._scene import DirectionalLightConfig as DirectionalLightConfig
 from .sections._section import changed as changed
 from .sections._section import frozen as frozen

@@ -1,7 +1,6 @@
 """Meshes, cameras, lights and the transforms between their spaces."""
 
 from ..settings.techniques import CascadeSelection
-from ._arrange import ROOM_FOV as ROOM_FOV
 from ._arrange import Arranged as Arranged
 from ._arrange import Given as Given
 from ._arrange import Wanted as Wanted
@@ -13,6 +12,7 @@ from ._camera_pose import CameraPose
 from ._edges import NO_NEIGHBOUR as NO_NEIGHBOUR
 from ._edges import Edges
 from ._edges import share_vertices as share_vertices
+from ._framing import ROOM_FOV as ROOM_FOV
 from ._framing import FrameLight as FrameLight
 from ._framing import Lens as Lens
 from ._framing import sun as frame_sun

@@ -22,7 +22,7 @@ from ._framing import (
     sun_for,
     sun_for_view,
 )
-from ._ground import Corners, Ground, ground_of, has_floor, inside_of
+from ._ground import Corners, Ground, ground_of, has_floor, height_field_of, inside_of
 
 # A ground reaches beyond the casters and their shadows by this part of their extent, on each side.
 _BEYOND = 0.4
@@ -30,8 +30,6 @@ _BEYOND = 0.4
 _BELOW = 1e-3
 # Radius of a lamp in a room, as a part of the room's height.
 _LAMP_RADIUS = 0.02
-# Full field of view of a camera in a room, degrees.
-ROOM_FOV = 70.0
 
 
 class Wanted(NamedTuple):
@@ -96,11 +94,15 @@ def arrange(corners: Corners, given: Given, wanted: Wanted) -> Arranged:
     if inside is not None:
         if wanted.light:
             lamp = world(lamp_in(inside)), _LAMP_RADIUS * (inside.ceiling - inside.floor)
-        framed = frame_inside(turned, inside) if wanted.camera else None
+        framed = None
+        if wanted.camera:
+            place = lamp_in(inside) if light is None else light.position
+            framed = frame_inside(turned, inside, given.lens, place)
     else:
         scene = _scene(turned, given.casts)
         if wanted.light or light is None:
-            angles = sun_for(scene.samples, scene.height)
+            under = scene.height if scene.ground is None else scene.ground.under(scene.samples)
+            angles = sun_for(scene.samples, under, is_level=scene.ground is None or scene.ground.relief is None)
             if view is not None:
                 angles = sun_for_view(scene.samples, scene.height, *view, given.lens, angles[1])
             light = sun(*angles)
@@ -140,7 +142,7 @@ def angles_of(turn: Float[HostArray, "3 3"]) -> tuple[float, float, float]:
 
 
 def _scene(corners: Corners, casts: Bool[HostArray, " f"]) -> _Scene:
-    ground = ground_of(corners)
+    ground = ground_of(corners) or height_field_of(corners)
     casting = casts if ground is None else casts & ~ground.faces
     # A ground alone, or meshes that only receive, are framed themselves.
     casters = corners[casting] if casting.any() else corners

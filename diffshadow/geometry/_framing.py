@@ -4,7 +4,9 @@ All is in a world with `+y` up, in any unit. A view is rated by samples of the c
 points into a small image, together with their shadows.
 """
 
+import itertools
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -29,14 +31,26 @@ _BETTER = 1.1
 # within these bounds.
 _AZIMUTHS = (60.0, -60.0, 120.0, -120.0, 20.0, 160.0, -20.0, -160.0)
 _SHADOW_LENGTH, _SUN = 0.5, (20.0, 50.0)
+# The least elevation over a height field.
+_OVER_SLOPES = 38.0
 # The shadows of suns that are lower than this, in degrees, are framed as if they were so high.
 _LOWEST = 4.0
 # Lamps closer to a caster's height than this part of their height throw their shadows out of the picture.
 _LAMP_ABOVE = 0.1
 _SAMPLES, _PIXELS = 1 << 13, 48
 # Of a room: heights of eye and lamp above the floor, as parts of the room's, and the part of the way to the wall.
-_EYE, _LAMP, _TO_WALL, _LOOKS_AT = 0.62, 0.85, 0.85, 0.2
+# The first of equal ones is taken, and a later one must be better by a factor.
+_EYES, _LAMP, _TO_WALL, _LOOKS_AT = (0.62, 0.8), 0.85, (0.85, 0.93), 0.2
+_BETTER_INSIDE = 1.02
+# Percentiles of directions between which most of what stands in a room is.
+_FEW = (3, 97)
 _AROUND = 16
+# Full field of view of a camera in a room, degrees.
+ROOM_FOV = 70.0
+# Faces this close to a side of a room's box, as a part of it, are of its walls.
+_WALL = 0.06
+# A point is hidden by another one of its pixel that is closer by more than this factor.
+_HIDDEN = 1.1
 
 
 class FrameLight(NamedTuple):
@@ -83,8 +97,9 @@ def samples_of(corners: Corners, seed: int = 0) -> Points:
     return a + u * (b - a) + v * (c - a)
 
 
-def shadow_of(points: Points, light: FrameLight, height: float) -> Points:
-    """Where the shadows of `points` fall on a level ground at `height`. Those that fall on none are left out."""
+def shadow_of(points: Points, light: FrameLight, height: float | Float[HostArray, " _"]) -> Points:
+    """Where the shadows of `points` fall on a level ground at `height`, one for all or of each. Those that fall on none
+    are left out."""
     if light.direction is not None:
         x, y, z = light.direction / np.linalg.norm(light.direction)
         if y >= 0:
@@ -95,6 +110,7 @@ def shadow_of(points: Points, light: FrameLight, height: float) -> Points:
         moved = (points[:, 1] - height)[:, None] * np.array([x, 0, z]) / across * length
     else:
         assert light.position is not None
+        height = float(np.mean(height))
         above = light.position[1] - height
         points = points[points[:, 1] < height + (1 - _LAMP_ABOVE) * above]
         if above <= 0:
@@ -106,19 +122,20 @@ def shadow_of(points: Points, light: FrameLight, height: float) -> Points:
     return fallen
 
 
-def sun_for(samples: Points, ground: float) -> tuple[float, float]:
+def sun_for(samples: Points, ground: float | Float[HostArray, " _"], *, is_level: bool = True) -> tuple[float, float]:
     """The azimuth and elevation, in degrees, of a sun whose shadow of `samples` on the ground is large.
 
-    Broad shadows that fall beside the casters count. The elevation is lower where the casters are flat.
+    Broad shadows that fall beside the casters count. The elevation is lower where the casters are flat. On a ground
+    that is not level, whose slopes shadow themselves, it is higher.
     """
-    tall = max(float(samples[:, 1].max()) - ground, np.finfo(float).tiny)
+    tall = max(float((samples[:, 1] - ground).max()), np.finfo(float).tiny)
     best, most = (_AZIMUTHS[0], _SUN[1]), 0.0
     cell = max(float(np.ptp(samples, axis=0).max()), tall) / _PIXELS
     for azimuth in _AZIMUTHS:
         towards = np.array([math.sin(math.radians(azimuth)), math.cos(math.radians(azimuth))])
         wide = float(np.ptp(samples[:, [0, 2]] @ towards))
         elevation = math.degrees(math.atan2(tall, max(_SHADOW_LENGTH * wide, 1e-9 * tall)))
-        elevation = float(round(min(max(elevation, _SUN[0]), _SUN[1])))
+        elevation = float(round(min(max(elevation, _SUN[0] if is_level else _OVER_SLOPES), _SUN[1])))
         fallen = shadow_of(samples, sun(azimuth, elevation), ground)
         # Complex numbers are pairs of whole numbers.
         cells, under = (np.floor(each[:, [0, 2]] / cell) @ [1, 1j] for each in (fallen, samples))
@@ -160,9 +177,12 @@ def frame_outside(
     - `points`: all corners of the casters; `samples`: points on their surfaces.
     - `height`: of the ground; `ground`: where it is, if the scene has one: shadows beyond it do not show.
     """
-    within = lambda fallen: fallen if ground is None else _on(fallen, ground)
-    framed = np.concatenate([points, within(shadow_of(points, light, height))])
-    fallen = within(shadow_of(samples, light, height))
+    on_ground = lambda points: (
+        shadow_of(points, light, height)
+        if ground is None
+        else _on(shadow_of(points, light, ground.under(points)), ground)
+    )
+    framed, fallen = np.concatenate([points, on_ground(points)]), on_ground(samples)
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     # With no shadow on the ground, any side will do.
     turns = _ASIDE if len(fallen) else (_DEFAULT_VIEW[0],)
@@ -179,21 +199,76 @@ def frame_outside(
     return best
 
 
-def frame_inside(corners: Corners, inside: Inside) -> Framed:
-    """A camera in the corner of a room that is farthest from the middle, looking across it."""
+def frame_inside(corners: Corners, inside: Inside, lens: Lens, lamp: Vector | None) -> Framed:
+    """A camera in the corner of a room from which most of what stands in it is seen, with its shadows on the floor.
+
+    The corner that is farthest from the middle is taken if no other is better. `lamp`: throws the shadows.
+    """
     tall = inside.ceiling - inside.floor
     angles = np.arange(_AROUND) * 2 * np.pi / _AROUND
     directions = np.stack([np.sin(angles), np.zeros(_AROUND), np.cos(angles)], axis=-1)
-    start = np.array([inside.point[0], inside.floor + _EYE * tall, inside.point[2]])
+    start = np.array([inside.point[0], inside.floor + _EYES[0] * tall, inside.point[2]])
     distance = free_distance(corners, start, directions)
     # Windows let rays out.
     distance = np.where(np.isfinite(distance), distance, 0)
-    k = int(distance.argmax())
-    eye = start + _TO_WALL * distance[k] * directions[k]
-    across = _LOOKS_AT * distance[(k + _AROUND // 2) % _AROUND]
-    target = start - across * directions[k]
-    target[1] = inside.floor + _LOOKS_AT * tall
-    return Framed(eye, target, 2 * tall, 0.0, 0.0)
+    tangents = math.tan(math.radians(ROOM_FOV / 2)) / lens.tangents[1] * np.array(lens.tangents)
+    wide = Lens((float(tangents[0]), float(tangents[1])), lens.is_perspective)
+    samples = samples_of(corners)
+    within = corners[~_is_of_walls(corners)]
+    stands = samples_of(within) if len(within) else samples[:0]
+    fallen = stands[:0] if lamp is None else shadow_of(stands, FrameLight(None, lamp), inside.floor)
+    low, high = samples.min(axis=0), samples.max(axis=0)
+    fallen = fallen[((fallen >= low) & (fallen <= high))[:, [0, 2]].all(axis=1)]
+    shown = np.concatenate([stands, fallen])
+    best, most = None, 0.0
+    for k in np.argsort(-distance, kind="stable"):
+        across = start - _LOOKS_AT * distance[(k + _AROUND // 2) % _AROUND] * directions[k]
+        across[1] = inside.floor + _LOOKS_AT * tall
+        for height, part in itertools.product(_EYES, _TO_WALL):
+            eye = start + part * distance[k] * directions[k]
+            eye[1] = inside.floor + height * tall
+            for target in [across, *([_amid(shown, eye)] if len(shown) else [])]:
+                shadow, casters = _seen([fallen, stands], samples, _axes_of(eye - target), eye, wide, tall)
+                if best is None or shadow + casters > _BETTER_INSIDE * most:
+                    best, most = Framed(eye, target, 2 * tall, shadow, casters), shadow + casters
+    assert best is not None
+    return best
+
+
+def _amid(points: Points, eye: Vector) -> Vector:
+    """A point in the middle of the directions in which an eye sees `points`, a few of them aside."""
+    x, y, z = (points - eye).T
+    middle = math.atan2(x.mean(), z.mean())
+    # Counted from the mean direction, angles do not jump.
+    turn = np.arctan2(x, z) - middle
+    turn = (turn + np.pi) % (2 * np.pi) - np.pi
+    away = np.hypot(x, z)
+    azimuth, elevation = (np.percentile(each, _FEW).mean() for each in (turn, np.arctan2(y, away)))
+    across, upward = math.cos(elevation), math.sin(elevation)
+    direction = np.array([across * math.sin(middle + azimuth), upward, across * math.cos(middle + azimuth)])
+    return eye + float(away.mean()) * direction
+
+
+def _is_of_walls(corners: Corners) -> Bool[HostArray, " f"]:
+    """Which faces are of the walls, the floor or the ceiling: flat, and at a side of the scene's box."""
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    margin = _WALL * (high - low)
+    at_low, at_high = (corners <= low + margin).all(axis=1), (corners >= high - margin).all(axis=1)
+    return (at_low | at_high).any(axis=1)
+
+
+def _seen(
+    each: Sequence[Points], hiding: Points, axes: Float[HostArray, "3 3"], eye: Vector, lens: Lens, half: float
+) -> list[float]:
+    """The part of `each` of some sets of points that is in the picture and not hidden by the samples `hiding`."""
+    nearest = np.full(_PIXELS * _PIXELS, np.inf)
+    pixel, depth, inside = _pixels(hiding, axes, eye, lens, half)
+    np.minimum.at(nearest, pixel[inside], depth[inside])
+    parts = []
+    for points in each:
+        pixel, depth, inside = _pixels(points, axes, eye, lens, half)
+        parts.append(float((inside & (depth <= _HIDDEN * nearest[pixel])).mean()) if len(points) else 0.0)
+    return parts
 
 
 def lamp_in(inside: Inside) -> Vector:

@@ -3,6 +3,7 @@
 All functions take the corners of triangles, (f, 3, 3), in any unit. Except for `up_of`, they expect `+y` up.
 """
 
+import math
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -22,20 +23,40 @@ _COVERED, _STANDING = 0.5, 0.7
 _FOOT, _MORE = 0.05, 3.0
 # A room hides this part of all directions, and shows its faces' front sides in this part of these.
 _CLOSED, _FRONT = 0.8, 0.9
+# The walls of a room are this far away from its middle, as a part of half the scene's lesser width. The parts of a
+# machine are closer.
+_TO_WALLS, _ASIDE = 0.35, 16
+# A height field covers this part of the outline, has at most so many layers in its place, and is at most so high.
+_SPREAD, _LAYERS, _RELIEF = 0.85, 1.05, 0.35
+# Cells along a side of the grid that its heights are read from.
+_CELLS = 32
 # Where a point inside a room is looked for, as parts of the box; middles first.
 _ACROSS, _HEIGHTS = (0.5, 0.3, 0.7), (0.5, 0.7)
 _DIRECTIONS = 96
+_TINY = float(np.finfo(float).tiny)
 # Pairs of rays and triangles that are tested at a time.
 _PAIRS = 1 << 21
 
 
 class Ground(NamedTuple):
-    """A level ground: its height, its least and greatest x and z, and which faces belong to it (f,)."""
+    """A ground: its height, its least and greatest x and z, and which faces belong to it (f,).
+
+    `relief`: of a height field, its heights in cells of equal size between `low` and `high`, as [x, z]; its `height` is
+    their mean.
+    """
 
     height: float
     low: Float[HostArray, "2"]
     high: Float[HostArray, "2"]
     faces: Bool[HostArray, " f"]
+    relief: Float[HostArray, "n n"] | None = None
+
+    def under(self, points: Float[HostArray, "p 3"]) -> float | Float[HostArray, " p"]:
+        """The height of the ground under some points."""
+        if self.relief is None:
+            return self.height
+        cells = _cells(points[:, (0, 2)], self.low, self.high)
+        return self.relief[cells[:, 0], cells[:, 1]]
 
 
 class Inside(NamedTuple):
@@ -68,6 +89,55 @@ def ground_of(corners: Corners) -> Ground | None:
         return None
     # Feet of objects are level, too; the ground is the largest face.
     return Ground(float(corners[level][np.abs(_cross(flat)).argmax(), :, 1].mean()), low, high, level)
+
+
+def height_field_of(corners: Corners) -> Ground | None:
+    """The surface that everything else of a scene stands on, such as a terrain with trees; none if there is none.
+
+    It is one connected surface that covers the scene's outline once. A closed object covers its own outline twice.
+    """
+    low, high = corners[..., (0, 2)].min(axis=(0, 1)), corners[..., (0, 2)].max(axis=(0, 1))
+    outline = np.prod(high - low)
+    signed = _cross(corners[..., (0, 2)]) / 2
+    # The areas of a closed object cancel, so that large ones are not taken apart.
+    if not abs(signed.sum()) > _SPREAD * outline:
+        return None
+    areas = np.abs(signed)
+    piece = _pieces(corners)
+    largest = np.bincount(piece, areas).argmax()
+    faces = piece == largest
+    flat, covered = corners[faces], areas[faces].sum()
+    if not _SPREAD * outline < covered < _LAYERS * outline or np.ptp(flat[..., 1]) > _RELIEF * max(high - low):
+        return None
+    # Finer triangles than cells leave none of them empty; coarser ones are read at their corners and middles.
+    points = np.concatenate([flat, flat.mean(axis=1, keepdims=True)], axis=1).reshape(-1, 3)
+    cells = _cells(points[:, (0, 2)], low, high)
+    total, count = np.zeros((2, _CELLS, _CELLS))
+    np.add.at(total, tuple(cells.T), points[:, 1])
+    np.add.at(count, tuple(cells.T), 1)
+    mean = float(points[:, 1].mean())
+    return Ground(mean, low, high, faces, np.where(count > 0, total / np.maximum(count, 1), mean))
+
+
+def _cells(flat: Float[HostArray, "p 2"], low: HostArray, high: HostArray) -> HostArray:
+    """The cell of the grid that each point lies in, (p, 2)."""
+    return ((flat - low) / np.maximum(high - low, _TINY) * _CELLS).astype(int).clip(0, _CELLS - 1)
+
+
+def _pieces(corners: Corners) -> HostArray:
+    """The number of the connected piece that each face belongs to, (f,). Corners at one place are connected."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    # A sum with three weights tells places apart, and is sorted much faster than these.
+    sums = corners.reshape(-1, 3) @ np.array([1.0, math.sqrt(2), math.pi])
+    places = np.unique(sums, return_inverse=True)[1].reshape(-1, 3)
+    ends = places[:, [1, 2]].ravel(), np.repeat(places[:, 0], 2)
+    count = int(places.max()) + 1
+    _, piece = connected_components(
+        coo_array((np.ones(len(ends[0]), bool), ends), shape=(count, count)), directed=False
+    )
+    return piece[places[:, 0]]
 
 
 def has_floor(corners: Corners) -> bool:
@@ -125,9 +195,17 @@ def inside_of(corners: Corners) -> Inside | None:
     for _, inside in sorted(found, key=lambda each: -each[0]):
         distance, is_front, _ = _hits(corners, normals, inside.point, _SPHERE)
         seen = np.isfinite(distance)
-        if seen.mean() >= _CLOSED and is_front.sum() >= _FRONT * seen.sum():
+        if seen.mean() >= _CLOSED and is_front.sum() >= _FRONT * seen.sum() and _is_wide(corners, inside.point):
             return inside
     return None
+
+
+def _is_wide(corners: Corners, point: Float[HostArray, "3"]) -> bool:
+    """Whether there is as much space around a point as in a room."""
+    angles = np.arange(_ASIDE) * 2 * np.pi / _ASIDE
+    directions = np.stack([np.sin(angles), np.zeros(_ASIDE), np.cos(angles)], axis=-1)
+    width = np.ptp(corners[..., (0, 2)], axis=(0, 1)).min()
+    return bool(np.median(free_distance(corners, point, directions)) >= _TO_WALLS * width / 2)
 
 
 def free_distance(corners: Corners, point: Float[HostArray, "3"], directions: Directions) -> Float[HostArray, " d"]:

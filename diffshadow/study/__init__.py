@@ -3,9 +3,15 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from ._report import next_after as next_after
 from ._report import report
 from .imports._import import import_scene
 from .pages._compare import compare
+from .pages._next import after_comparison as after_comparison
+from .pages._next import after_defaults as after_defaults
+from .pages._next import for_engine as for_engine
+from .pages._next import to_convert as to_convert
+from .pages._next import to_view as to_view
 from .record._files import add_files as add_files
 from .record._stored import VisibilityRun as VisibilityRun
 from .record._stored import is_fit as is_fit

@@ -3,7 +3,11 @@
 from pathlib import Path
 
 from .. import io
+from ..config import CONFIG_FILE, RESULT_FILE, load_config
+from ..console import Command
+from .pages._next import after_advice, after_run
 from .record._files import read_record
+from .record._runs import VisibilityRecord
 from .record._stored import stored_run
 from .record._sweeps import AdviseRecord, SweepRecord
 
@@ -37,3 +41,23 @@ def report(folder: Path, *, form: str | None = None, dpi: int = 150) -> Path:
     from .pages._report import write_report
 
     return write_report(stored_run(folder, record), form, dpi)
+
+
+def next_after(folder: Path) -> list[Command]:
+    """What to do after the run, sweep or recommendation in `folder`, as on its page; nothing without one: of several
+    processes, the first alone writes.
+
+    **Raises** `FileError` if it is damaged.
+    """
+    if not (folder / RESULT_FILE).is_file():
+        return []
+    record = read_record(folder)
+    if isinstance(record, SweepRecord):
+        from .sweeps._report import commands_after
+
+        return commands_after(folder, record)
+    if isinstance(record, AdviseRecord):
+        return after_advice(folder, None if record.advice is None else record.advice.engine, record.command)
+    is_configured = isinstance(record, VisibilityRecord) and record.command is not None
+    config = load_config(folder / CONFIG_FILE, [], files=False) if is_configured else None
+    return after_run(folder, record, None if config is None else config.technique.type)

@@ -8,7 +8,7 @@ from scenes import marked
 
 from diffshadow import geometry
 from diffshadow.geometry import _ground as ground
-from diffshadow.geometry._framing import sun_for
+from diffshadow.geometry._framing import samples_of, sun_for
 
 LENS = geometry.Lens((math.tan(math.radians(20)),) * 2)
 ALL = geometry.Wanted(True, True, True)
@@ -104,6 +104,71 @@ def test_a_room_is_seen_and_lit_from_inside(size):
         assert ((low < point) & (point < high)).all()
     # Seen from outside, the same walls are an object.
     assert not found_for(corners[:, ::-1]).is_room
+
+
+def test_a_camera_in_a_room_sees_most_of_what_stands_there_and_its_shadows():
+    """A sofa in a corner beside the camera that looks across the room from its farthest corner."""
+    at = lambda size, *place: moved(corners_of("box", size=list(size)), *place)
+    sofa, table, shelf = (
+        at((2.2, 0.6, 0.9), -1.8, 0, -1.9),
+        at((0.9, 0.4, 0.9), 0.5, 0, 0.3),
+        at((0.4, 1.4, 0.4), 2, 0, 1.7),
+    )
+    stands = np.concatenate([sofa, table, shelf])
+    corners = np.concatenate([corners_of("box", size=[6, 3, 5])[:, ::-1], stands])
+    found = found_for(corners)
+    assert found.is_room
+    wide = LENS.tangents[0] / math.tan(math.radians(geometry.ROOM_FOV / 2))
+    points = samples_of(stands)
+    shown = np.abs(wide * seen(points, found.camera, UP_Y)).max(axis=1) < 1
+    assert shown.mean() > 0.75
+    assert found.camera.casters > 0.8
+    assert found.camera.shadow > 0.55
+
+
+def hills(trees, size=1.0):
+    """A height field of side 8, with closed trees on it, and its height by x and z."""
+    x, z = np.meshgrid(*[np.linspace(-4, 4, 25)] * 2, indexing="ij")
+    height = lambda x, z: 0.6 * np.sin(x) * np.cos(0.7 * z) + 0.1 * x
+    grid = np.stack([x, height(x, z), z], axis=-1)
+    a, b, c, d = (grid[i : i + 24 or None, j : j + 24 or None].reshape(-1, 3) for i in (0, 1) for j in (0, 1))
+    faces = np.concatenate([np.stack(three, axis=1) for three in ((a, b, c), (b, d, c))])
+    places = [(u, v) for u in (-2.2, 0.3, 1.9) for v in (-1.8, 0.9)][:trees]
+    parts = [moved(corners_of("box", size=[0.3, 1, 0.3]), u, height(u, v) - 0.1, v) for u, v in places]
+    return size * np.concatenate([faces, *parts]), len(faces)
+
+
+@pytest.mark.parametrize("size", marked([1.0, 100.0], [100.0]))
+@pytest.mark.parametrize("trees", [0, 6])
+def test_a_height_field_is_its_own_ground(trees, size):
+    corners, faces = hills(trees, size)
+    found = found_for(corners)
+    assert found.has_ground
+    assert found.plane is None
+    assert not found.is_room
+    terrain = ground.height_field_of(corners)
+    assert terrain.faces.sum() == faces
+    assert terrain.faces[:faces].all()
+    points = corners[:faces].mean(axis=1)
+    assert np.abs(terrain.under(points) - points[:, 1]).max() < 0.3 * size
+    if trees:
+        shown = np.abs(seen(corners[faces:].reshape(-1, 3), found.camera, UP_Y)).max()
+        assert 0.5 < shown < 0.9
+        assert found.sun[1] >= 38
+
+
+@pytest.mark.parametrize("name", ["closed", "open", "chair", "panel"])
+def test_an_object_is_no_height_field(name):
+    assert ground.height_field_of(SCENES[name]()) is None
+
+
+def test_the_gaps_of_a_machine_are_no_room():
+    rng, box = np.random.default_rng(1), corners_of("box")
+    place = lambda: rng.uniform([-1.4, 0.3, -0.9], [1.4, 1.6, 0.9])
+    parts = [box * rng.uniform(0.1, 0.5, 3) + place() for _ in range(300)]
+    corners = np.concatenate([corners_of("box", size=[3, 0.2, 2]), *parts])
+    assert ground.inside_of(corners) is None
+    assert found_for(corners).plane is not None
 
 
 def test_a_sun_is_found_for_a_camera_that_is_given():

@@ -484,7 +484,12 @@ def test_folder_has_ranking_verdict_page_and_recommended_configuration(finished)
     result = result_of(folder)
     stored = result["advice"]
     assert folder.name == "a-advise"
-    assert shlex.split(result["command"]) == ["diffshadow", "advise", "a.yaml", "output=out"]
+    assert shlex.split(result["command"]) == [
+        "diffshadow",
+        "advise",
+        str(folder.parent.parent / "a.yaml"),
+        "output=out",
+    ]
     errors = [each["rmse"] for each in stored["candidates"]]
     assert errors == sorted(errors)
     assert {each["id"] for each in stored["candidates"]} == {run.id for run in advice.sweep.runs}

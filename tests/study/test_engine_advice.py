@@ -162,7 +162,14 @@ def test_the_code_to_paste_ends_the_output_and_is_on_the_page(quick, engine, suf
     page = (folder / "report.html").read_text()
     assert f"<h2>In {ENGINES[engine]}</h2>" in page
     assert code.splitlines()[-1] in page
-    assert shlex.split(stored["command"]) == ["diffshadow", "advise", "a.yaml", "output=out", "--engine", engine]
+    assert shlex.split(stored["command"]) == [
+        "diffshadow",
+        "advise",
+        str(Path("a.yaml").absolute()),
+        "output=out",
+        "--engine",
+        engine,
+    ]
     # How many there are is said first, and after the first how long they take.
     assert said.startswith("9 fits to do; the first says how long they take\nthe first took 1 s, with what all compile")
     assert "all 9 take about " in said

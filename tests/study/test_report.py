@@ -5,6 +5,7 @@ import html.parser
 import io as text_io
 import json
 import re
+import shlex
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -75,7 +76,7 @@ def test_report_of_a_fit_tells_what_its_files_hold(tmp_path):
         assert f"{result['metrics'][when]['false_shadow_rate']:.3%}" in parsed.text
     assert "bias.constant 0.1 2.5 texels 0 to 10" in parsed.text
     assert "0.0123" in parsed.text
-    assert "diffshadow fit it.yaml" in parsed.text
+    assert f"diffshadow fit {folder}/config.yaml" in parsed.text
     # What the user wrote stays text.
     assert "the <i>solver</i> gave up" in parsed.text
     assert "<i>" not in parsed.page
@@ -207,8 +208,8 @@ def test_comparison_prints_and_shows_what_differs(tmp_path):
     assert "Reference of" not in parsed.text
 
 
-def test_pages_start_with_pictures_and_end_with_commands(tmp_path):
-    """The picture, the code, the values, and at last commands that work as they are."""
+def test_pages_start_with_the_verdict_and_commands_and_pictures(tmp_path):
+    """The verdict, commands that work as they are, the picture, the code, and the values."""
     folder = write_fit(tmp_path / "my runs" / "tiny")
     result = json.loads((folder / "result.json").read_text())
     (folder / "result.json").write_text(
@@ -217,10 +218,11 @@ def test_pages_start_with_pictures_and_end_with_commands(tmp_path):
     (folder / "fitted.yaml").write_text((folder / "config.yaml").read_text())
     page = Parsed(study.report(folder)).page
     parts = [
+        'class="summary',
+        "<h2>What to do next</h2>",
         'class="frames"',
         "<pre>light.bias = 1 &lt; 2;\nlight.on();</pre>",
         "<h2>Results</h2>",
-        "<h2>What to do next</h2>",
     ]
     assert sorted(parts, key=page.index) == parts
     # The slider shows the shaded pictures first.
@@ -229,6 +231,9 @@ def test_pages_start_with_pictures_and_end_with_commands(tmp_path):
     for command in (
         f"render {place}/fitted.yaml&#39; --debug",
         f"convert {place}&#39;",
+        f"advise {place}&#39; --engine three.js",
+        f"view {place}&#39;",
+        f"fit {place}/config.yaml&#39;",
         f"advise {place}/config.yaml&#39;",
     ):
         assert f"<pre>diffshadow {command}</pre>" in page
@@ -258,9 +263,28 @@ def test_commands_of_a_draft_name_the_folder_that_it_becomes(tmp_path, monkeypat
     ).record
     (draw, *_) = after_run(seen[0], record, "shadow_map")
     assert draw.text == f"diffshadow fit {tmp_path}/a-run/config.yaml"
-    # The commands work in any folder.
+    # The commands of a page work in any folder.
     monkeypatch.chdir(tmp_path)
-    assert after_run(Path("a-run"), record, "shadow_map")[0] == draw
+    typed = after_run(Path("a-run"), record, "shadow_map")[0]
+    assert typed.text == "diffshadow fit a-run/config.yaml"
+    assert typed.anywhere().text == draw.text
+
+
+def test_a_fit_ends_with_the_commands_that_follow_and_its_path(monkeypatch, tmp_path, capsys):
+    (tmp_path / "my runs").mkdir()
+    folder = write_fit(tmp_path / "my runs" / "tiny")
+    (folder / "fitted.yaml").write_text((folder / "config.yaml").read_text())
+    monkeypatch.chdir(tmp_path)
+    for given in (Path("my runs/tiny"), folder):
+        monkeypatch.setattr(study, "run_fit", lambda config, *, console, of=given: of)
+        with pytest.raises(SystemExit):
+            main(["fit", "builtin:quickstart"])
+        lines = capsys.readouterr().out.splitlines()
+        typed = [shlex.split(line) for line in lines if line.startswith("  diffshadow")]
+        # All paths are as the path of the run: relative or absolute.
+        assert [words[1:3] for words in typed] == [[verb, str(given)] for verb in ("convert", "advise", "view")]
+        assert typed[1][3:] == ["--engine", "three.js"]
+        assert lines[-1] == str(given)
 
 
 def test_comparison_of_different_scenes_is_remarked(tmp_path):

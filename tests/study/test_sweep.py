@@ -469,7 +469,12 @@ def test_flicker_is_measured_along_a_path():
 def test_run_folder_says_what_was_done_and_does_it_again(finished):
     sweep, folder, _ = finished
     record = json.loads((folder / "result.json").read_text())
-    assert shlex.split(record["command"]) == ["diffshadow", "sweep", "s.yaml", *sweep.overrides]
+    assert shlex.split(record["command"]) == [
+        "diffshadow",
+        "sweep",
+        str(folder.parent.parent / "s.yaml"),
+        *sweep.overrides,
+    ]
     assert sorted(entry.name for entry in (folder / "runs").iterdir()) == sorted(run.id for run in sweep.runs)
     first = folder / "runs" / sweep.runs[3].id
     assert sorted(entry.name for entry in first.iterdir()) == ["config.yaml", "result.json"]

@@ -14,6 +14,7 @@ from ... import io
 from ..._words import counted
 from ...config import RECOMMENDED_FILE as RECOMMENDED
 from ...config import Advice, Config, fit_units, with_fitted
+from ...console import print_table
 from ...settings.fit import Loss
 from ..pages import _table as table
 from ..record import _sweeps as record
@@ -265,7 +266,7 @@ def _print(console: Console, name: str, found: Findings, said: Sequence[str]) ->
         rates = (table.number("_rate", rate) for rate in (each.false_shadow, each.false_light))
         numbers = (each.size, table.number("rmse", each.rmse), *rates, f"{each.ms:.1f}", f"{each.times} {marks}")
         shown.add_row(table.words(each.bias), table.words(each.filter), *numbers)
-    console.print(shown)
+    print_table(console, shown)
     legend = "← is recommended; * marks techniques that no other beats in both RMSE and time"
     table.print_lines(console, [legend, _of_times()])
     table.print_lines(console, said)

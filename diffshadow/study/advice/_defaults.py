@@ -8,6 +8,7 @@ from typing import NamedTuple
 from rich.console import Console
 from rich.table import Table
 
+from ...console import print_table
 from ...geometry import AbstractLight, DirectionalLight, PointLight, SpotLight
 from ...settings import filters, rules
 from ...settings.engines import ENGINES, POLYGON_OFFSETS, EngineName
@@ -221,8 +222,8 @@ def _print_all(console: Console) -> None:
         numbers = (f"{value:.3g}" for value in rule.bias)
         made.add_row(name, *numbers, *_cells(rule.worth), f"{rule.own.price:.2f}")
         by_map.add_row(name, *(f"{price:.2f}" for price in rule.maps.values()))
-    console.print(made)
-    console.print(by_map)
+    print_table(console, made)
+    print_table(console, by_map)
     table.print_lines(
         console,
         [

@@ -51,6 +51,6 @@ def report_advice(folder: Path, record: AdviseRecord, form: str | None = None, d
         file=RECOMMENDED,
         machine=record.versions.get("processor", "an unknown processor"),
         environment=[(name, value, "") for name, value in record.versions.items()],
-        commands=after_advice(folder, record.command),
+        commands=after_advice(folder, advice.engine, record.command),
     )
     return folder / REPORT

@@ -8,6 +8,7 @@ from rich.table import Table
 
 from ..._checks import text_within
 from ..._words import counted
+from ...console import print_table
 from ...fit import FitResult
 from ..record import _runs as records
 from ._table import (
@@ -87,7 +88,7 @@ def print_fit(console: Console, record: records.FitRecord) -> None:
         table.add_row(words(name), *(_within(value, bounds) for value in (record.initial[name], fitted)), bounds.unit)
     table.add_section()
     _add_errors(table, record.metrics)
-    console.print(table)
+    print_table(console, table)
 
 
 def print_profiles(console: Console, profiles: Mapping[str, records.Profile], fitted: Mapping[str, float]) -> None:
@@ -97,7 +98,7 @@ def print_profiles(console: Console, profiles: Mapping[str, records.Profile], fi
     for name, profile in profiles.items():
         ranges = [interval_text(each.lower, each.upper) for each in profile.intervals]
         table.add_row(words(name), f"{fitted[name]:.4g}", f"{profile.best.value:.4g}", *ranges)
-    console.print(table)
+    print_table(console, table)
 
 
 def print_front(console: Console, front: Sequence[records.FrontPoint]) -> None:
@@ -107,7 +108,7 @@ def print_front(console: Console, front: Sequence[records.FrontPoint]) -> None:
         errors = (f"{error:.4f}" for error in (point.false_shadow, point.false_light, point.rmse))
         values = (f"{value:.4g}" for value in point.values.values())
         table.add_row(*errors, *values, "knee" if point.is_knee else "")
-    console.print(table)
+    print_table(console, table)
     print_lines(console, knee_text(front))
 
 
@@ -115,7 +116,7 @@ def print_validation(console: Console, views: int, errors: records.BeforeAndAfte
     """Prints the errors before and after a fit over views that it has not seen."""
     table = _table(f"{counted(views, 'view')} for validation", "before", "after", "unit")
     _add_errors(table, errors)
-    console.print(table)
+    print_table(console, table)
 
 
 def print_render(console: Console, record: records.RenderRecord) -> None:
@@ -130,7 +131,7 @@ def print_render(console: Console, record: records.RenderRecord) -> None:
         table.add_column(words(head), justify="right")
     for label, *row in zip(ERRORS.values(), *columns.values(), strict=True):
         table.add_row(label, *row)
-    console.print(table)
+    print_table(console, table)
 
 
 def print_picture(console: Console, record: records.PictureRecord) -> None:
@@ -140,13 +141,12 @@ def print_picture(console: Console, record: records.PictureRecord) -> None:
     for key, title in (("rmse", "RMSE of the picture"), ("mae", "MAE of the picture"), ("flip", "FLIP")):
         if getattr(before, key) is not None:
             table.add_row(title, f"{getattr(before, key):.4f}", f"{getattr(after, key):.4f}")
-    console.print(table)
+    print_table(console, table)
 
 
 def print_values(console: Console, record: records.FitRecord | records.PictureRecord) -> None:
     """Prints truth, fitted value, error and standard deviation of each parameter."""
     table = Table("", "truth", "fitted", "error", "std. dev.")
-    table.columns[0].no_wrap = True
     for column in table.columns[1:]:
         column.justify = "right"
     for name, fitted in record.fitted.items():
@@ -154,7 +154,7 @@ def print_values(console: Console, record: records.FitRecord | records.PictureRe
         known = ("", "") if truth is None else (_within(truth, bounds, 5), f"{fitted - truth:+.2g}")
         spread = "" if deviation is None else f"{deviation:.2g}"
         table.add_row(words(name), known[0], _within(fitted, bounds, 5), known[1], spread)
-    console.print(table)
+    print_table(console, table)
 
 
 def _print_starts(console: Console, result: FitResult) -> None:
@@ -177,7 +177,7 @@ def print_shape(console: Console, record: records.ShapeRecord) -> list[str]:
         table.add_row(words(light.light), *(f"{overlap:.4f}" for overlap in (light.before, light.map, light.rays)))
     for light in measured.unseen:
         table.add_row(words(light.light), "", "", f"{light.rays:.4f}")
-    console.print(table)
+    print_table(console, table)
     lines = [f"mean square error {measured.initial_loss:.3g} before, {measured.loss:.3g} after"]
     if measured.chamfer is not None and measured.size is not None:
         share = measured.chamfer / measured.size

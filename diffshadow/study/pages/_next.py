@@ -1,81 +1,101 @@
-"""What to do after a run: commands that its page ends with."""
+"""What to do after a run: commands that its page shows, and that the terminal prints."""
 
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 from ...config import CONFIG_FILE, FITTED_FILE, RECOMMENDED_FILE
+from ...console import Command
+from ...settings.engines import ENGINES, EngineName
 from ..record._folder import final_folder
 from ..record._runs import FitRecord, FolderRecord
 
 # The technique whose bias the command convert reads.
 _CONVERTED = "shadow_map"
+_SCENE = "builtin:quickstart"
+_FIRST_ENGINE: EngineName = "three.js"
+_OTHERS = ", ".join(name for name in ENGINES if name != _FIRST_ENGINE)
 
 
-class Command(NamedTuple):
-    """A command to copy.
-
-    - `why`: what it does, in a sentence; `text`: the command.
-    """
-
-    why: str
-    text: str
+def for_engine(source: Path | str, overrides: Sequence[str] = (), engine: EngineName | None = None) -> Command:
+    """The command that recommends what an engine has, for the views of `source`; without one, an engine to replace."""
+    name = engine or _FIRST_ENGINE
+    others = "" if engine else f"; or for {_OTHERS}"
+    why = f"Find the best bias and filter that {ENGINES[name]} has, with the code to paste{others}."
+    return Command(why, ["advise", source, *overrides, "--engine", name])
 
 
-def _command(why: str, verb: str, *arguments: Path | str) -> Command:
-    # A page cannot know the folder in which its commands are pasted.
-    words = (str(each.absolute()) if isinstance(each, Path) else each for each in arguments)
-    return Command(why, shlex.join(["diffshadow", verb, *words]))
+def to_view(source: Path | str, overrides: Sequence[str] = ()) -> Command:
+    """The command that shows `source` in a browser."""
+    return Command("See it in the browser, and change its settings by hand.", ["view", source, *overrides])
+
+
+def to_convert(source: Path | str, overrides: Sequence[str] = ()) -> Command:
+    """The command that prints the bias of `source` for engines."""
+    return Command("Convert the bias to the units of engines.", ["convert", source, *overrides])
 
 
 def _figures(folder: Path) -> Command:
-    return _command("Write the figures again, for a paper.", "report", folder, "--figures", "pdf")
-
-
-def _again(command: str | None) -> list[Command]:
-    return [Command("Run it again.", command)] if command else []
+    return Command("Write the figures again, for a paper.", ["report", folder, "--figures", "pdf"])
 
 
 def after_run(folder: Path, record: FolderRecord, technique: str | None = None) -> list[Command]:
-    """The commands after a fit or a render.
+    """The commands after a fit or a render, the most useful first.
 
     **Arguments:**
 
     - `folder`: of the run, with its files; `record`: of the run.
     - `technique`: that was fitted to visibility or rendered; none without a configuration.
     """
-    place, again = final_folder(folder), _again(record.command)
+    place, is_fit, is_fitted = final_folder(folder), isinstance(record, FitRecord), (folder / FITTED_FILE).is_file()
+    again = []
+    if getattr(record, "command", None) is not None:
+        again = [Command("Run it again.", ["render" if record.kind == "render" else "fit", place / CONFIG_FILE])]
     if technique is None:
         return [_figures(place), *again]
-    is_fit, is_fitted = isinstance(record, FitRecord), (folder / FITTED_FILE).is_file()
     commands = []
+    has_bias = technique == _CONVERTED or technique in ENGINES
     if not is_fit:
-        commands.append(_command("Fit its bias and its filter.", "fit", place / CONFIG_FILE))
+        commands += [Command("Fit its bias and its filter.", ["fit", place / CONFIG_FILE]), to_view(place)]
+    if has_bias and (is_fitted or not is_fit):
+        commands.append(to_convert(place))
     if is_fitted:
+        if has_bias:
+            engines: dict[str, EngineName] = {name: name for name in ENGINES}
+            commands.append(for_engine(place, engine=engines.get(technique)))
+        commands.append(to_view(place))
         why = "Draw the fitted shadow, with intermediate results."
-        commands.append(_command(why, "render", place / FITTED_FILE, "--debug"))
-    if technique == _CONVERTED and (is_fitted or not is_fit):
-        commands.append(_command("Convert the bias to the units of engines.", "convert", place))
-        if is_fit:
-            commands.append(_command("Try other biases and filters on these views.", "advise", place / CONFIG_FILE))
-    return [*(commands or [_figures(place)]), *again]
+        commands.append(Command(why, ["render", place / FITTED_FILE, "--debug"]))
+        if technique == _CONVERTED:
+            commands.append(Command("Try other biases and filters on these views.", ["advise", place / CONFIG_FILE]))
+    elif is_fit:
+        commands += [Command("Write an animation of the fit.", ["animate", place]), _figures(place)]
+    return [*commands, *again]
 
 
 def after_comparison(folders: Sequence[Path], page: Path) -> list[Command]:
     """The commands after a comparison of the runs in `folders`, whose page is `page`."""
     return [
         *(_figures(folder)._replace(why=f"Write the figures of {folder.name} again.") for folder in folders[:2]),
-        _command("Compare them again.", "compare", *folders, "--output", page),
+        Command("Compare them again.", ["compare", *folders, "--output", page]),
     ]
 
 
-def after_advice(folder: Path, command: str) -> list[Command]:
-    """The commands after a recommendation in `folder`, which `command` made."""
+def _again(command: str) -> Command:
+    """The command of a sweep, whose paths are absolute."""
+    return Command("Do it again; runs that are done are kept.", shlex.split(command)[1:])
+
+
+def after_advice(folder: Path, engine: EngineName | None, command: str) -> list[Command]:
+    """The commands after a recommendation in `folder`, for an engine or for any renderer; `command` made it."""
+    recommended = folder / RECOMMENDED_FILE
+    others = [for_engine(recommended)] if engine is None else []
     return [
-        _command("Fit the recommended technique.", "fit", folder / RECOMMENDED_FILE),
-        _command("Draw it, with all pictures.", "render", folder / RECOMMENDED_FILE),
-        *_again(command),
+        *others,
+        to_view(recommended),
+        Command("Draw it, with all pictures.", ["render", recommended]),
+        Command("Fit the recommended technique again.", ["fit", recommended]),
+        _again(command),
     ]
 
 
@@ -88,9 +108,18 @@ def after_sweep(folder: Path, kind: str, best: Path | None, command: str) -> lis
     - `best`: the folder of the run with the least RMSE, if there is one.
     - `command`: the sweep's command.
     """
-    run = (
-        []
-        if best is None
-        else [_command("Do the run with the least RMSE, with all pictures.", kind, best / CONFIG_FILE)]
-    )
-    return [*run, _figures(folder), *_again(command)]
+    why = "Do the run with the least RMSE, with all pictures."
+    run = [] if best is None else [Command(why, [kind, best / CONFIG_FILE]), to_view(best / CONFIG_FILE)]
+    return [*run, _figures(folder), _again(command)]
+
+
+def after_defaults(filter: str | None, radius: float | None, engine: EngineName | None) -> list[Command]:
+    """The commands after rules of thumb, of the `filter` and the `engine` that were asked for. The package's own scene
+    stands for the user's."""
+    overrides = [] if filter is None else [f"filter.type={filter}"]
+    overrides += [] if radius is None else [f"filter.radius={radius:g}"]
+    why = "Fit the bias to a scene; in place of builtin:quickstart, give your mesh file."
+    return [
+        Command(why, ["fit", _SCENE, *overrides]),
+        for_engine(_SCENE, engine=engine),
+    ]

@@ -13,13 +13,14 @@ from markupsafe import Markup
 
 from ..._checks import text_within
 from ..._words import counted
+from ...console import Command
 from ...shading import to_srgb
 from .. import style
 from ..record import _runs as records
 from ..record._files import add_files
 from ..record._stored import REPORT, LightImages, StoredRun, VisibilityRun
 from . import _figures as figures
-from ._next import Command, after_run
+from ._next import after_run
 from ._page import Picture, Scale, data_uri, difference_scale, file_pictures, lines_of, picture, write_page
 from ._table import ERRORS, LIGHT_ERRORS, UNITS, cells, interval_text, knee_text, noise_text, number, within_text
 

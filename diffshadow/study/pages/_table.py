@@ -8,6 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ...config import printable
+from ...console import print_folded, print_table
 from ...shadow import EngineSetting
 from ..record._runs import End, Errors, FrontPoint, LightErrors
 
@@ -86,7 +87,7 @@ def interval_text(*ends: End) -> str:
 def print_comparison(console: Console, labels: Sequence[str], parts: Sequence[Sequence[Sequence[str]]]) -> None:
     """Prints rows of a name, a text for each of the runs named `labels`, and a unit. Each part is a section."""
     table = Table()
-    table.add_column("", overflow="fold")
+    table.add_column("")
     for label in labels:
         table.add_column(words(label), justify="right")
     table.add_column("unit")
@@ -94,17 +95,23 @@ def print_comparison(console: Console, labels: Sequence[str], parts: Sequence[Se
         for row in part:
             table.add_row(*(words(cell) for cell in row))
         table.add_section()
-    console.print(table)
+    print_table(console, table)
 
 
 def print_settings(console: Console, title: str, settings: Sequence[EngineSetting]) -> None:
-    """Prints the settings of engines, one on each line."""
+    """Prints the settings of engines, one on each line; on a narrow console, with the value on a line of its own."""
+    notes = [each.note + ("" if each.is_verified else "; not verified against the engine") for each in settings]
     lines = [
-        f"  {each.engine:<12}{each.setting:<37}{_value(each):>11}  {each.note}"
-        + ("" if each.is_verified else "; not verified against the engine")
-        for each in settings
+        f"  {each.engine:<12}{each.setting:<37}{_value(each):>11}  {note}"
+        for each, note in zip(settings, notes, strict=True)
     ]
-    print_code(console, title, "\n".join(lines))
+    if max(map(len, lines), default=0) <= console.width:
+        print_code(console, title, "\n".join(lines))
+        return
+    print_folded(console, printable(title), style="bold")
+    for each, note in zip(settings, notes, strict=True):
+        print_folded(console, f"{each.engine}: {each.setting}", indent=2)
+        print_folded(console, f"{_value(each)}  {note}", indent=6)
 
 
 def _value(setting: EngineSetting) -> str:
@@ -116,7 +123,12 @@ def print_rows(console: Console, errors: Mapping[str, Mapping[str, float | None]
     shown = {"rmse": "RMSE", "false_shadow_rate": "false shadow", "false_light_rate": "false light"}
     for name, of in errors.items():
         numbers = ", ".join(f"{what} {number(key, of[key])}" for key, what in shown.items())
-        console.print(Text(printable(f"  {name:<20}{numbers}")))
+        line = printable(f"  {name:<20}{numbers}")
+        if len(line) <= console.width:
+            console.print(Text(line), soft_wrap=True)
+        else:
+            print_folded(console, printable(name), indent=2)
+            print_folded(console, numbers, indent=6)
 
 
 def print_code(console: Console, title: str, code: str) -> None:

@@ -1,5 +1,6 @@
 """Progress of a run, and how long each of its stages took."""
 
+import re
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -21,10 +22,13 @@ _PAUSE = 0.05
 # Seconds of work after which the rest is estimated.
 _KNOWN = 2.0
 _MINUTE = 60.0
+# The part of a detail that names a phase of a fit, perhaps of one of several starts.
+_PHASE = re.compile(r".*\bphase \d+ of \d+")
 
 
 class Progress:
-    """A progress line that vanishes when the work is done. It is shown on a terminal only.
+    """A progress line that vanishes when the work is done. It is shown on a terminal only. Elsewhere, a console that
+    `names_stages` prints a line for each stage, and for each phase of a fit, as it begins.
 
     - `seconds`: how long each finished stage took, by name, in order.
     - `part`: of the work that has the stages, such as `"view 2 of 9"`; empty if there is one.
@@ -44,6 +48,8 @@ class Progress:
             disable=not console.is_terminal,
         )
         self._task = self._progress.add_task("", total=None, detail="")
+        self._console, self._began = console, time.perf_counter()
+        self._named: set[str] | None = set() if getattr(console, "names_stages", False) else None
 
     @classmethod
     def quiet(cls) -> "Progress":
@@ -69,8 +75,21 @@ class Progress:
     def show(self, name: str, detail: str = "", done: float | None = None) -> None:
         """Shows the stage `name` with `detail`, and a bar filled to the fraction `done` if that is known."""
         total = None if done is None else 1.0
+        self._name(name, detail, done)
         detail = ", ".join(filter(None, (self.part, detail)))
         self._progress.update(self._task, description=escape(name), detail=escape(detail), total=total, completed=done)
+
+    def _name(self, name: str, detail: str, done: float | None) -> None:
+        """Prints a line when a stage or a phase begins, if the console asks for it."""
+        if self._named is None:
+            return
+        phase = _PHASE.match(detail)
+        # What a fit does besides its steps has a detail with a name, then numbers.
+        part = phase[0] if phase else detail.partition(",")[0] if done is None else ""
+        line = f"{name}, {part}" if part else name
+        if line not in self._named:
+            self._named.add(line)
+            self._console.print(f"{time.perf_counter() - self._began:6.1f} s  {escape(line)}", soft_wrap=True)
 
     def counted[T](self, name: str, items: Sequence[T]) -> Iterator[T]:
         """The items, one after another. The `part` is the number of each, with about how long it and the rest take.

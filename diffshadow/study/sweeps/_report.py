@@ -16,6 +16,8 @@ from jaxtyping import Float
 from ... import io
 from ..._types import HostArray
 from ...config import ConfigError, PlotConfig, Row, SweepConfig, describe, load_config
+from ...console import Command
+from ..pages._next import after_sweep
 from ..record._stored import CONFIG, REPORT
 from ..record._sweeps import SweepRecord
 from ._curves import columns_for, curves_of, unit_of, with_unit
@@ -52,7 +54,6 @@ def report_sweep(folder: Path, record: SweepRecord, form: str | None = None) -> 
 
     **Raises** `FileError` if the sweep's table is missing, damaged, or another sweep's.
     """
-    from ..pages._next import after_sweep
     from ..pages._page import file_pictures, write_page
 
     sweep = record.settings
@@ -212,6 +213,13 @@ def _figure(
     with tempfile.TemporaryDirectory() as scratch:
         write_plot(Path(scratch) / "plot.svg", curves, plot, settings)
         return style.themed((Path(scratch) / "plot.svg").read_text(encoding="utf-8"))
+
+
+def commands_after(folder: Path, record: SweepRecord) -> list[Command]:
+    """What to do after the sweep in `folder`. **Raises** as `report_sweep`."""
+    runs = _read_table(folder, record.settings)
+    good = {name: column[runs["status"] == OK] for name, column in runs.items()}
+    return after_sweep(folder, record.settings.run, _best(folder, good), record.command)
 
 
 def _best(folder: Path, good: Columns) -> Path | None:

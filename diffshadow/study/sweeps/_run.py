@@ -5,7 +5,6 @@ import fcntl
 import itertools
 import json
 import os
-import shlex
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -18,6 +17,7 @@ from rich.table import Table
 from ... import io
 from ..._words import counted
 from ...config import LABEL, Sweep, SweepRun, describe
+from ...console import Command, print_table, source
 from ..pages import _table as table
 from ..record._files import RESULT, write_record
 from ..record._folder import folder_of, remove, write_whole
@@ -169,7 +169,7 @@ def print_plan(console: Console, sweep: Sweep, limit: int | None = None, suffix:
         some = values[:_MAX_SHOWN] + ["…"] * (len(values) > _MAX_SHOWN)
         between = "; " if axis == LABEL else ", "
         axes.add_row(table.words(axis), f"{len(values)}", table.words(between.join(some)))
-    console.print(axes)
+    print_table(console, axes)
     count, shown = len(sweep.runs), min(limit or _MAX_SHOWN, _MAX_SHOWN)
     if count <= MAX_LISTED:
         with counting(console, "checking", count) as progress:
@@ -355,7 +355,8 @@ def about(sweep: Sweep, kind: type[SweepRecord | AdviseRecord], counts: Mapping[
         "failed": counts.get(FAILED, 0),
         "settings": sweep.settings,
         "versions": versions(),
-        "command": shlex.join(["diffshadow", verb, sweep.source, *sweep.overrides]),
+        # Its page cannot know the folder in which it is pasted.
+        "command": Command("", [verb, source(Path(sweep.source)), *sweep.overrides]).anywhere().text,
     }
 
 
@@ -390,7 +391,7 @@ def _print(console: Console, sweep: Sweep, results: Columns, curves: Sequence[Cu
                 shown.add_row(
                     table.words(name), *(f"{number:.4g}" for number in (values.min(), values.mean(), values.max()))
                 )
-    console.print(shown)
+    print_table(console, shown)
 
 
 def _summary(sweep: Sweep, counts: Mapping[str, int], tried: int, table: str) -> list[str]:

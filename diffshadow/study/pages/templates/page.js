@@ -67,7 +67,19 @@ for (const image of document.querySelectorAll("main img")) {
   image.addEventListener("keydown", (event) => event.key === "Enter" && show());
 }
 
-// Tables that are wider than the page scroll in their own box, with the keyboard too.
+// Tables and plots that are wider than the page scroll in their own box, with the keyboard too, and say so.
+const hint = (box) => {
+  // The hint itself must not count.
+  box.classList.remove("scrolls");
+  if (box.scrollWidth <= box.clientWidth) return;
+  box.classList.add("scrolls");
+  box.tabIndex = 0;
+};
+const watched = new ResizeObserver((boxes) => boxes.forEach(({ target }) => hint(target)));
 for (const box of document.querySelectorAll(".wide, .chart")) {
-  if (box.scrollWidth > box.clientWidth) box.tabIndex = 0;
+  hint(box);
+  watched.observe(box);
+}
+for (const details of document.querySelectorAll("details")) {
+  details.addEventListener("toggle", () => details.querySelectorAll(".wide, .chart").forEach(hint));
 }
