@@ -139,7 +139,7 @@ def export_shader(
         for remark in write_shader_page(folder / PAGE, config, scene, technique, compared, title):
             console.print(Text(remark), soft_wrap=True)
         files.append(PAGE)
-    console.print(Text(printable(f"{', '.join(files)} in")), soft_wrap=True)
+    console.print(Text(printable(f"wrote {', '.join(files[:-1])} and {files[-1]}")), soft_wrap=True)
     return folder
 
 
