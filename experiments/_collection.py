@@ -49,10 +49,15 @@ class Collection(NamedTuple):
         """The kind of a scene."""
         return self.kinds[index % len(self.kinds)]
 
-    def scene(self, index: int, pixels: int) -> dict[str, Any]:
-        """The configuration of scene number `index`, with square images of `pixels` a side."""
-        rng, (meshes, camera, light), size = self._drawn(index)
+    def scene(self, index: int, pixels: int, *, in_metres: bool = False) -> dict[str, Any]:
+        """The configuration of scene number `index`, with square images of `pixels` a side.
+
+        `in_metres` gives it the size that engines expect, where a unit is a metre."""
         kind = self.kind(index)
+        rng = np.random.default_rng([self.seed, index])
+        meshes, camera, light = OF_FILES[kind](rng, self.files) if kind in OF_FILES else KINDS[kind](rng)
+        size = float(10 ** rng.uniform(*_SIZES))
+        size = 1.0 if in_metres else size
         maps = _CUBE_MAPS if light["type"] == "point" else _WIDE_MAPS if kind in WIDE else _MAPS
         side = int(rng.choice(maps))
         return {
@@ -65,15 +70,6 @@ class Collection(NamedTuple):
             "shadow_map": {"resolution": [side, side]},
             "reference": {"samples": 16},
         }
-
-    def size(self, index: int) -> float:
-        """By what a scene is scaled from sizes that engines expect, where a unit is a metre."""
-        return self._drawn(index)[2]
-
-    def _drawn(self, index: int) -> tuple[Rng, Made, float]:
-        rng, kind = np.random.default_rng([self.seed, index]), self.kind(index)
-        made = OF_FILES[kind](rng, self.files) if kind in OF_FILES else KINDS[kind](rng)
-        return rng, made, float(10 ** rng.uniform(*_SIZES))
 
 
 def _scaled(section: dict[str, Any], size: float) -> dict[str, Any]:

@@ -1,11 +1,11 @@
-"""Rules in three.js and Babylon.js themselves: what these draw, beside what the library predicts."""
+"""Rules in the engines themselves: what these draw, beside what the library predicts."""
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import _common as common
 import _rule_errors as errors
+import _rule_shipped as shipped
 import jax.numpy as jnp
 import numpy as np
 from _engine_jobs import NEAR, Engine, engine_job
@@ -16,7 +16,7 @@ from diffshadow import shadow
 from diffshadow.config import Config
 from diffshadow.console import Console
 
-EXACT = ("three.js", "babylon.js")
+EXACT = ("three.js", "babylon.js", "playcanvas")
 """The engines that can be drawn here."""
 STATES = ("shipped", "rule")
 HEAD = ("engine", "bias", "RMSE in the engine", "predicted", "acne in the engine", "predicted", "pixels equal")
@@ -42,8 +42,7 @@ def checked(scenes: Sequence[Config], rules: Mapping[str, Any], console: Console
     """
     found = {}
     for name in EXACT:
-        constant, _, offset = rules[name]["bias"]
-        tried = [_scene(settings, name, (constant, offset)) for settings in common.progress(scenes, name, console)]
+        tried = [_scene(settings, name, rules[name]) for settings in common.progress(scenes, name, console)]
         made = [each for each in tried if each is not None]
         jobs = [engine_job(each.case, each.techniques[0], each.techniques) | {"outputs": ["mesh"]} for each in made]
         pictures = [drawing.arrays for drawing in draw(jobs)]
@@ -52,21 +51,19 @@ def checked(scenes: Sequence[Config], rules: Mapping[str, Any], console: Console
     return found
 
 
-def _scene(settings: Config, name: str, rule: tuple[float, float]) -> _Scene | None:
+def _scene(settings: Config, name: str, rule: Mapping[str, Any]) -> _Scene | None:
     """None if the engine lacks the light."""
-    case = common.draw(settings)
-    plain, shadow_map, covered = errors.plain_map(case)
+    case, engine = common.draw(settings), shipped.EXACT[name]
+    plain, shadow_map, _ = errors.plain_map(case)
     at = shadow.receiver(shadow_map, case.surface)
-    shipped = errors.ENGINES[name]
-    units = errors.units_of(shipped, case, at)
-    if units is None:
+    made = shipped.drawable(engine, case, at, errors.pixels_per_texel(plain, shadow_map, case))
+    if made is None:
         return None
-    one = errors.engine_technique(name, case.settings.shadow_map.resolution)
-    values = (shipped.values, [texels * unit for texels, unit in zip(rule, units, strict=True)])
-    techniques = [dataclasses.replace(one, bias=jnp.float32(a), normal_bias=jnp.float32(b)) for a, b in values]
-    pixels = errors.pixels_per_texel(plain, shadow_map, case)
-    seen = errors.seen_in_engine(shipped, case, at, covered, pixels)
-    return _Scene(case, one.prepare(case.scene, case.surface), seen, techniques)
+    constant, _, offset = rule["bias"]
+    texels = [min(x * unit, engine.most) for x, unit in zip((constant, offset), made.units, strict=True)]
+    values = (engine.shipped, rule["own"] if rule["is_own"] else texels)
+    techniques = [shipped.with_biases(made.technique, each) for each in values]
+    return _Scene(case, made.state, made.seen, techniques)
 
 
 def _scores(scene: _Scene, arrays: Mapping[str, np.ndarray]) -> list[list[float]]:

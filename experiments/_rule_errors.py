@@ -1,6 +1,5 @@
-"""Errors of many biases in one scene, for each filter, and of the shadows that engines draw by default."""
+"""Errors of many biases in one scene, for each filter."""
 
-import dataclasses
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -15,7 +14,6 @@ from scipy import ndimage
 
 from diffshadow import fit, raster, reference, shadow
 from diffshadow.config.framing._texels import texels_across
-from diffshadow.settings.engines import POLYGON_OFFSETS
 
 CONSTANT = (0.0, 1.0, 2.0, 3.0, 4.5, 7.0, 10.0, 15.0)
 SLOPE = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0)
@@ -67,88 +65,6 @@ WITH_PLANE = ("pcf, radius 2.5", "random_disk, radius 4", "random_disk, radius 8
 """The filters that are also measured with the bias from the receiver's plane."""
 
 
-class Shipped(NamedTuple):
-    """What an engine draws by default.
-
-    - `filter`, `reach`: as in `Filtered`; the filter is None where the engine's own technique draws.
-    - `engine`: its name in `engine_settings`; `constant`, `offset`: its settings of the two biases, and `values` what
-      it ships for them.
-    - `softness`: as for `engine_settings`.
-    - `lengths`: which of the two settings are lengths in world units, and so depend on a scene's size.
-    - `has_offset`: whether the normal offset is tried; one that moves casters needs a map for each value.
-    """
-
-    filter: shadow.AbstractFilter | None
-    reach: float
-    engine: str
-    constant: str
-    offset: str
-    values: tuple[float, float]
-    softness: float = 1.0
-    lengths: tuple[bool, bool] = (False, False)
-    has_offset: bool = True
-
-
-_LOW = shadow.GODOT_QUALITIES["SOFT_LOW"]
-ENGINES: dict[str, Shipped] = {
-    "three.js": Shipped(
-        None,
-        2.5,
-        "three.js",
-        "light.shadow.bias",
-        "light.shadow.normalBias",
-        (0.0, 0.0),
-        lengths=(False, True),
-    ),
-    "babylon.js": Shipped(
-        None,
-        2.5,
-        "Babylon.js",
-        "generator.bias (PCF)",
-        "generator.normalBias",
-        (5e-5, 0.0),
-        lengths=(False, True),
-        has_offset=False,
-    ),
-    "godot": Shipped(
-        shadow.RandomDisk(_LOW.radius, shadow.vogel(_LOW.taps)),
-        _LOW.radius + 0.5,
-        "Godot 4",
-        "shadow_bias",
-        "shadow_normal_bias",
-        (0.1, 2.0),
-        _LOW.radius,
-    ),
-    "bevy": Shipped(
-        shadow.Castano(5),
-        2.5,
-        "Bevy",
-        "shadow_depth_bias",
-        "shadow_normal_bias",
-        (0.02, 1.8),
-        lengths=(True, False),
-    ),
-    "filament": Shipped(
-        shadow.Castano(3),
-        1.5,
-        "Filament",
-        "constantBias",
-        "normalBias",
-        (0.001, 1.0),
-        lengths=(True, False),
-    ),
-    "unity": Shipped(
-        shadow.Tent(2.5),
-        2.5,
-        "Unity URP",
-        "shadowBias (depth)",
-        "shadowNormalBias",
-        (1.0, 1.0),
-        2.5,
-    ),
-}
-"""Engines, by the names that the command takes, and what they ship."""
-
 _PATHS = ("bias.constant.value", "bias.slope.value", "bias.normal_offset.value")
 
 
@@ -165,14 +81,12 @@ class Seen(eqx.Module):
     dark: jax.Array
 
 
-def measure(settings: Any, *, with_engines: bool = True) -> dict[str, np.ndarray]:
-    """Errors of all biases in one scene, by names of filters and engines.
+def measure(settings: Any) -> dict[str, np.ndarray]:
+    """Errors of all biases in one scene, by names of filters.
 
     **Returns** arrays (biases, 3) of the root mean square error, the share of the light that is wrongly missing (acne)
     and the share that is wrongly there (leaks), each beyond a kernel's reach of a shadow's outline. Biases are in the
-    order of `grid_of`. `shipped NAME` is (3,), what an engine draws by default; `units NAME` is (2,), its two settings
-    for a bias and a normal offset of one texel. `scene` has the numbers that describe the scene, in the order of
-    `DESCRIBED`.
+    order of `grid_of`. `scene` has the numbers that describe the scene, in the order of `DESCRIBED`.
     """
     case = common.draw(settings)
     plain, shadow_map, covered = plain_map(case)
@@ -181,16 +95,15 @@ def measure(settings: Any, *, with_engines: bool = True) -> dict[str, np.ndarray
     found: dict[str, np.ndarray] = {}
     for name, (chosen, reach) in FILTERS.items():
         seen = seen_by(case.truth, covered, reach * pixels)
-        found[name] = grid_errors(_technique(chosen), grid_of(name), shadow_map, case.surface, seen)
+        found[name] = grid_errors(technique(chosen), grid_of(name), shadow_map, case.surface, seen)
         if name in WITH_PLANE:
-            technique = _technique(chosen, plane=True)
-            found[name + PLANE] = grid_errors(technique, grid_of(name + PLANE), shadow_map, case.surface, seen)
+            found[name + PLANE] = grid_errors(
+                technique(chosen, plane=True), grid_of(name + PLANE), shadow_map, case.surface, seen
+            )
     for name, (chosen, reach) in LITTLE.items():
         seen = seen_by(case.truth, covered, reach * pixels)
-        found[name] = grid_errors(_technique(chosen), grid_of(name), shadow_map, case.surface, seen)
-    for name, shipped in (ENGINES if with_engines else {}).items():
-        found |= _of_engine(name, shipped, case, shadow_map, at, covered, pixels)
-    found["scene"] = _described(case, at, covered, pixels)
+        found[name] = grid_errors(technique(chosen), grid_of(name), shadow_map, case.surface, seen)
+    found["scene"] = described(case, at, covered, pixels)
     return {name: np.asarray(values, np.float32) for name, values in found.items()}
 
 
@@ -207,13 +120,12 @@ def grid_of(name: str) -> np.ndarray:
     """The biases that are tried, (n, 3): constant, slope and normal offset."""
     if name in LITTLE:
         return np.array([(c, s, 0.0) for c in LITTLE_CONSTANT for s in LITTLE_SLOPE], np.float32)
-    slopes: Sequence[float] = (0.0,) if name.endswith(PLANE) or name in ENGINES else SLOPE
-    has_offset = not name.endswith(PLANE) and (name not in ENGINES or ENGINES[name].has_offset)
-    offsets: Sequence[float] = OFFSET if has_offset else (0.0,)
+    has_plane = name.endswith(PLANE)
+    slopes, offsets = ((0.0,), (0.0,)) if has_plane else (SLOPE, OFFSET)
     return np.array([(c, s, n) for c in CONSTANT for s in slopes for n in offsets], np.float32)
 
 
-def _technique(chosen: shadow.AbstractFilter, *, plane: bool = False, profile: Any = "sine") -> shadow.ShadowMapping:
+def technique(chosen: shadow.AbstractFilter, *, plane: bool = False, profile: Any = "sine") -> shadow.ShadowMapping:
     offset = shadow.NormalOffset(0.0, profile=profile)
     bias = shadow.Bias(0.0, 0.0, offset, plane=shadow.ReceiverPlane() if plane else None)
     return shadow.ShadowMapping(chosen, bias)
@@ -268,78 +180,6 @@ def pixels_per_texel(plain: shadow.ShadowMapping, shadow_map: Any, case: common.
     return float(np.quantile(np.asarray(extents.extent)[mask], 0.9)) if mask.any() else 1.0
 
 
-# --- Engines ---
-
-
-def _of_engine(
-    name: str,
-    shipped: Shipped,
-    case: common.Case,
-    shadow_map: shadow.ShadowMap,
-    at: shadow.Receiver,
-    covered: np.ndarray,
-    pixels: float,
-) -> dict[str, np.ndarray]:
-    """What an engine draws by default, and with each bias; nothing under a light that it does not have."""
-    units = units_of(shipped, case, at)
-    if units is None:
-        return {}
-    seen = seen_in_engine(shipped, case, at, covered, pixels)
-    # A setting in texels; the settings of three.js are negative.
-    own = [value / unit if unit else 0.0 for value, unit in zip(shipped.values, units, strict=True)]
-    grid, resolution = grid_of(name), case.settings.shadow_map.resolution
-    if shipped.filter is not None:
-        technique = _technique(shipped.filter, profile=shadow.OFFSET_PROFILES[shipped.engine])
-        if name in POLYGON_OFFSETS:
-            offset_map = shadow.MapSettings(resolution, polygon_offset=POLYGON_OFFSETS[name])
-            shadow_map = dataclasses.replace(technique, map=offset_map).prepare(case.scene, case.surface)
-        both = np.concatenate([grid, [[own[0], 0.0, own[1]]]])
-        errors = grid_errors(technique, both, shadow_map, case.surface, seen)
-    else:
-        technique = engine_technique(name, resolution)
-        state = technique.prepare(case.scene, case.surface)
-        paths = ("bias", "normal_bias")[: 2 if shipped.has_offset else 1]
-        numbers = np.concatenate([grid[:, [0, 2]] * units, [shipped.values]])[:, : len(paths)]
-        errors = grid_errors(technique, numbers, state, case.surface, seen, paths)
-    return {name: errors[:-1], f"shipped {name}": errors[-1], f"units {name}": np.array(units)}
-
-
-def seen_in_engine(
-    shipped: Shipped, case: common.Case, at: shadow.Receiver, covered: np.ndarray, pixels: float
-) -> Seen:
-    """The pixels that count for an engine, where a texel is `pixels` long on the screen."""
-    if shipped.filter is None:
-        # The engines' shading makes these dark, whatever their shadows are. Ours are dark there themselves.
-        covered = covered & (np.asarray(at.cosine) > 0)
-    return seen_by(case.truth, covered, shipped.reach * pixels)
-
-
-def engine_technique(name: str, resolution: tuple[int, int]) -> Any:
-    if name == "three.js":
-        return shadow.ThreeJs(resolution=resolution)
-    return shadow.BabylonJs(filter="PCF", resolution=resolution)
-
-
-def units_of(shipped: Shipped, case: common.Case, at: shadow.Receiver) -> tuple[float, float] | None:
-    """An engine's two settings for a bias and a normal offset of one texel at the median receiver."""
-    mask, light = np.asarray(case.surface.mask), case.scene.light
-    texel = float(np.median(np.asarray(at.texel_size)[mask]))
-    away = np.asarray(case.surface.position)[mask] - np.asarray(getattr(light, "position", np.zeros(3)))
-    direction = getattr(light, "direction", None)
-    along = np.abs(away).max(axis=1) if direction is None else away @ np.asarray(direction)
-    distance = max(float(np.median(along)), 1e-9)
-    softness = shipped.softness if light.is_directional or shipped.engine != "Godot 4" else 1.0
-    try:
-        resolution = case.settings.shadow_map.resolution
-        settings = shadow.engine_settings(light, resolution, texel, 1.0, distance, power=1, softness=softness)
-    except ValueError:
-        return None
-    values = {each.setting: each.value for each in settings if each.engine == shipped.engine}
-    if values.get(shipped.constant) is None:
-        return None
-    return float(values[shipped.constant] or 0.0), float(values.get(shipped.offset) or 0.0)
-
-
 # --- What a scene is like ---
 
 DESCRIBED = ("texels", "pixels_per_texel", "steepness", "elevation", "lit", "perspective", "across", "thin")
@@ -349,7 +189,7 @@ across; the share of casters with less than ten."""
 FEW = 10.0
 
 
-def _described(case: common.Case, at: shadow.Receiver, covered: np.ndarray, pixels: float) -> np.ndarray:
+def described(case: common.Case, at: shadow.Receiver, covered: np.ndarray, pixels: float) -> np.ndarray:
     image = np.asarray(case.truth.visibility)
     cosine = np.clip(np.asarray(at.cosine)[covered & (image > 0)], 1e-3, 1)
     steepness = float(np.median(np.sqrt(1 / cosine**2 - 1))) if cosine.size else 0.0

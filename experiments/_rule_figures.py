@@ -60,8 +60,8 @@ def _spread(values: np.ndarray) -> np.ndarray:
 
 
 def of_rules(result: Mapping[str, Any]) -> Figure:
-    """What no bias, rules and fits are worth for each filter, and what engines ship against rules for them."""
-    made, panels = common.figure(12.0, 4.4, 1, 3)
+    """What rules and fits are worth for each filter."""
+    made, panels = common.figure(8.0, 4.4, 1, 2)
     filters = {name: found for name, found in result["filters"].items() if not name.endswith(errors.PLANE)}
     rows = {
         "constant alone": (_NONE, {name: found["rules"]["constant"]["tested"] for name, found in filters.items()}),
@@ -70,20 +70,7 @@ def of_rules(result: Mapping[str, Any]) -> Figure:
     }
     _dots(panels[0], "Price of a rule, by filter", "mean error over the best bias for each scene", rows, "price")
     _dots(panels[1], "Scenes with acne, by filter", "share of the scenes", rows, "acne")
-    if "engines" not in result:
-        panels[2].set_axis_off()
-        common.legend(panels[1])
-        return made
-    engines = result["engines"]
-    rows = {
-        "shipped": (_NONE, {name: found["shipped"] for name, found in engines.items()}),
-        "best in its own units": (_OWN, {name: found["own_worth"] for name, found in engines.items()}),
-        "rule in texels": (_RULE, {name: found["tested"] for name, found in engines.items()}),
-    }
-    _dots(panels[2], "Scenes with acne, by engine", "share of the scenes", rows, "acne")
-    # The first two have the same colours.
-    for panel in panels[1:]:
-        common.legend(panel)
+    common.legend(panels[1])
     return made
 
 

@@ -111,13 +111,17 @@ def taps_compared(found: Sequence[Mapping[str, np.ndarray]]) -> dict[str, Any]:
     }
 
 
-def show(console: Console, result: Mapping[str, Any]) -> None:
-    """Prints both."""
+def show_layouts(console: Console, found: Mapping[str, Any]) -> None:
+    """Prints how layouts compare."""
     table = Table("texels, scenes", *(f"{name}: wins, error" for name in LAYOUTS))
-    for label, of in result["layouts"].items():
+    for label, of in found.items():
         table.add_row(label, *(f"{each['wins']:.0%}, {each['ratio']:.2f}" for each in of.values()))
     console.print(table)
+
+
+def show_taps(console: Console, found: Mapping[str, Any]) -> None:
+    """Prints how patterns of taps compare."""
     table = Table("pattern", *(f"{taps} taps: error, noise" for taps in TAPS))
-    for name, of in result["taps"].items():
+    for name, of in found.items():
         table.add_row(name, *(f"{error:.3f}, {noise:.4f}" for error, noise in of.values()))
     console.print(table)

@@ -7,6 +7,7 @@ from typing import Any
 
 import _rule_engines as engines
 import _rule_errors as errors
+import _rule_shipped as shipped
 
 from diffshadow.settings.engines import ENGINES
 
@@ -26,7 +27,9 @@ _SETTINGS = {
     "three.js": "`bias` {:g}, `normalBias` {:g}",
     "babylon.js": "`bias` {:g} (PCF)",
     "godot": "`shadow_bias` {:g}, `shadow_normal_bias` {:g}",
+    "playcanvas": "`shadowBias` {:g}, `normalOffsetBias` {:g}",
     "bevy": "`shadow_depth_bias` {:g}, `shadow_normal_bias` {:g}",
+    "godot_compatibility": "`shadow_bias` {:g}, `shadow_normal_bias` {:g}",
     "filament": "`constantBias` {:g}, `normalBias` {:g}",
     "unity": "depth {:g}, normal {:g}",
 }
@@ -34,8 +37,31 @@ _SETTINGS = {
 
 def packaged(result: Mapping[str, Any], before: Mapping[str, Any]) -> dict[str, Any]:
     """The rules as `diffshadow.settings.rules` reads them. Rules that were not measured are kept from `before`."""
+    found = {**before, **(_of_filters(result) if "rules" in result else {})}
+    if "engines" in result:
+        found["engines"] = {
+            name: {
+                "bias": _rule_of(each),
+                "own": each["is_own"],
+                "worth": _worth(each["own_worth" if each["is_own"] else "tested"]),
+                "shipped": _worth(each["shipped"]),
+            }
+            for name, each in result["engines"].items()
+        }
+    return found
+
+
+def _rule_of(found: Mapping[str, Any]) -> list[float]:
+    """The two biases of an engine's rule: in texels, or to two figures the settings of an engine whose cameras follow
+    the view."""
+    if not found["is_own"]:
+        return [found["bias"][0], found["bias"][2]]
+    return [float(f"{value:.2g}") for value in found["own"]]
+
+
+def _of_filters(result: Mapping[str, Any]) -> dict[str, Any]:
     formula = result["formulas"][FORMULA]
-    made = {
+    return {
         "scenes": result["scenes"],
         "kinds": result["kinds"],
         "casters": {"part": result["casters"]["part"]},
@@ -44,18 +70,6 @@ def packaged(result: Mapping[str, Any], before: Mapping[str, Any]) -> dict[str, 
         "plane": {"number": result["plane"]["numbers"][0], "worth": _worth(result["plane"])},
         "filters": {name: _packaged_rule(rule) for name, rule in result["rules"].items()},
         "starts": {name: rule["bias"] for name, rule in result["filters"][_STARTS]["rules"].items()},
-    }
-    if "engines" not in result:
-        return {**made, "engines": before["engines"]}
-    return made | {
-        "engines": {
-            name: {
-                "bias": [found["bias"][0], found["bias"][2]],
-                "worth": _worth(found["tested"]),
-                "shipped": _worth(found["shipped"]),
-            }
-            for name, found in result["engines"].items()
-        },
     }
 
 
@@ -71,29 +85,9 @@ def _worth(found: Mapping[str, float]) -> list[float]:
 def tables(result: Mapping[str, Any]) -> dict[str, str]:
     """The tables of the page, in Markdown, by name."""
     worth = ("price", "acne", "leaks")
-    biases = ("none", *_FAMILIES.values(), "the formula", "best for each scene")
-    rules, caps = result["rules"], result["casters"]["caps"]
-    maps, kinds = ([*next(iter(rules.values()))[key]] for key in ("maps", "kinds"))
-    by_kind = _means(rules, "kinds")
-    made = {
-        "filters": _table(("filter", "constant", "slope", "normal offset", *worth, "own price"), _filter_rows(result)),
-        "maps": _table(
-            ("filter", *(f"{side}²" for side in maps)),
-            [(name, *(f"{rule['maps'][side]:.2f}" for side in maps)) for name, rule in rules.items()],
-        ),
-        "kinds": _table(kinds, [[f"{by_kind[kind]:.2f}" for kind in kinds]]),
-        "caps": _table(
-            ("constant at most", "price", "where casters are thin", "acne"),
-            [(_PARTS[part], f"{price:.3f}", f"{few:.3f}", f"{acne:.1%}") for part, (price, few, acne) in caps.items()],
-        ),
-        "biases": _table(("filter", *biases), _bias_rows(result)),
-        "formulas": _table(
-            ("formula", "numbers", *worth),
-            [(label, _numbers(found["numbers"]), *_cells(found)) for label, found in result["formulas"].items()],
-        ),
-    }
+    made = _filter_tables(result) if "rules" in result else {}
     if "engines" in result:
-        head = ("engine", "ships", *worth, "rule, texels", "offset, texels", *worth)
+        head = ("engine", "default", *worth, "rule", *worth)
         made["engines"] = _table(head, _engine_rows(result))
     if "layouts" in result:
         layouts = result["layouts"]
@@ -121,6 +115,31 @@ def tables(result: Mapping[str, Any]) -> dict[str, str]:
     return made
 
 
+def _filter_tables(result: Mapping[str, Any]) -> dict[str, str]:
+    worth = ("price", "acne", "leaks")
+    biases = ("none", *_FAMILIES.values(), "the formula", "best for each scene")
+    rules, caps = result["rules"], result["casters"]["caps"]
+    maps, kinds = ([*next(iter(rules.values()))[key]] for key in ("maps", "kinds"))
+    by_kind = _means(rules, "kinds")
+    return {
+        "filters": _table(("filter", "constant", "slope", "normal offset", *worth, "own price"), _filter_rows(result)),
+        "maps": _table(
+            ("filter", *(f"{side}²" for side in maps)),
+            [(name, *(f"{rule['maps'][side]:.2f}" for side in maps)) for name, rule in rules.items()],
+        ),
+        "kinds": _table(kinds, [[f"{by_kind[kind]:.2f}" for kind in kinds]]),
+        "caps": _table(
+            ("constant at most", "price", "where casters are thin", "acne"),
+            [(_PARTS[part], f"{price:.3f}", f"{few:.3f}", f"{acne:.1%}") for part, (price, few, acne) in caps.items()],
+        ),
+        "biases": _table(("filter", *biases), _bias_rows(result)),
+        "formulas": _table(
+            ("formula", "numbers", *worth),
+            [(label, _numbers(found["numbers"]), *_cells(found)) for label, found in result["formulas"].items()],
+        ),
+    }
+
+
 def _means(rules: Mapping[str, Any], key: str) -> dict[str, float]:
     """The mean price over the filters that compare taps one by one, by `key`."""
     found = [rules[name][key] for name in errors.FILTERS]
@@ -146,9 +165,12 @@ def _bias_rows(result: Mapping[str, Any]) -> Iterator[Sequence[str]]:
 
 def _engine_rows(result: Mapping[str, Any]) -> Iterator[Sequence[str]]:
     for name, found in result["engines"].items():
-        settings, (constant, _, offset) = _SETTINGS[name].format(*errors.ENGINES[name].values), found["bias"]
-        shipped, tested = _cells(found["shipped"]), _cells(found["tested"])
-        yield ENGINES[name], settings, *shipped, f"{constant:.3g}", f"{offset:.3g}", *tested
+        pattern, rule = _SETTINGS[name], _rule_of(found)
+        in_texels = "{:.3g} {}, offset {:.3g}".format(rule[0], "texel" if rule[0] == 1 else "texels", rule[1])
+        tested = found["own_worth" if found["is_own"] else "tested"]
+        stated = pattern.format(*rule) if found["is_own"] else in_texels
+        default = pattern.format(*shipped.ENGINES[name].shipped)
+        yield ENGINES[name], default, *_cells(found["shipped"]), stated, *_cells(tested)
 
 
 def _numbers(values: Sequence[float]) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import _rule_errors as errors
+import _rule_shipped as shipped
 import numpy as np
 from rich.table import Table
 from scipy import stats
@@ -40,15 +41,13 @@ class Measured:
 
     - `errors`: by filter and engine, (scenes, constants, slopes, offsets, 3), NaN where an engine lacks the light.
     - `shipped`: by engine, (scenes, 3); `units`: by engine, (scenes, 2).
-    - `described`: (scenes, numbers); `sizes`: by what scenes are scaled from metres; `kinds`: (scenes,), their names;
-      `apart`: which of them rules are only tested on.
+    - `described`: (scenes, numbers); `kinds`: (scenes,), their names; `apart`: which of them rules are only tested on.
     """
 
     errors: Mapping[str, np.ndarray]
     shipped: Mapping[str, np.ndarray]
     units: Mapping[str, np.ndarray]
     described: np.ndarray
-    sizes: np.ndarray
     kinds: np.ndarray
     apart: np.ndarray
 
@@ -56,21 +55,19 @@ class Measured:
     def of(
         cls,
         found: Sequence[Mapping[str, np.ndarray]],
-        sizes: Sequence[float],
+        names: Sequence[str],
         kinds: Sequence[str],
         apart: Sequence[bool],
-        *,
-        with_engines: bool = True,
     ) -> "Measured":
-        names = [*_names(), *(errors.ENGINES if with_engines else ())]
+        """What was `found` in each scene for the filters or engines with these `names`."""
         stacked = lambda key, shape: np.stack([each.get(key, np.full(shape, np.nan)) for each in found])
-        grids = {name: stacked(name, (len(errors.grid_of(name)), 3)) for name in names}
+        grids = {name: stacked(name, (len(_grid_of(name)), 3)) for name in names}
+        engines = [name for name in names if name in shipped.ENGINES]
         return cls(
             {name: values.reshape(len(found), *_shape(name), 3) for name, values in grids.items()},
-            {name: stacked(f"shipped {name}", (3,)) for name in errors.ENGINES},
-            {name: stacked(f"units {name}", (2,)) for name in errors.ENGINES},
+            {name: stacked(f"shipped {name}", (3,)) for name in engines},
+            {name: stacked(f"units {name}", (2,)) for name in engines},
             np.stack([each["scene"] for each in found]),
-            np.asarray(sizes),
             np.asarray(kinds),
             np.asarray(apart),
         )
@@ -81,10 +78,9 @@ class Measured:
         return dict(zip(errors.DESCRIBED, self.described.T, strict=True))
 
     def in_texels(self, name: str, own: np.ndarray) -> np.ndarray:
-        """An engine's two settings as biases in texels, (scenes, 3), in scenes of their size in metres."""
-        units = self.units[name] / np.where(errors.ENGINES[name].lengths, self.sizes[:, None], 1)
-        constant, offset = (_ratio(own[i], units[:, i]) for i in range(2))
-        return np.stack([constant, np.zeros(len(units)), offset], axis=1)
+        """An engine's two settings as biases in texels, (scenes, 3)."""
+        constant, offset = (_ratio(own[i], self.units[name][:, i]) for i in range(2))
+        return np.stack([constant, np.zeros(len(constant)), offset], axis=1)
 
     def capped(self, name: str, bias: np.ndarray, part: float = PART) -> np.ndarray:
         """A filter's bias for each scene, (scenes, 3): its constant is at most a part of a typical caster's width
@@ -112,7 +108,7 @@ class Measured:
         return found
 
 
-def _names() -> list[str]:
+def filter_names() -> list[str]:
     """All filters, with and without a receiver plane."""
     return [*errors.FILTERS, *errors.LITTLE, *(name + errors.PLANE for name in errors.WITH_PLANE)]
 
@@ -123,9 +119,14 @@ def _reach(name: str) -> float:
     return 0.0 if filtered is None else filtered.reach
 
 
+def _grid_of(name: str) -> np.ndarray:
+    """The biases that are tried with a filter or an engine, (n, 3)."""
+    return shipped.grid_of(name) if name in shipped.ENGINES else errors.grid_of(name)
+
+
 @functools.cache
 def _axes(name: str) -> list[tuple[float, ...]]:
-    grid = errors.grid_of(name)
+    grid = _grid_of(name)
     return [tuple(float(x) for x in np.unique(grid[:, i])) for i in range(3)]
 
 
@@ -204,7 +205,7 @@ def rule_of(measured: Measured, name: str, family: tuple[bool, ...], part: float
         bias = measured.capped(name, _placed(np.maximum(numbers, 0), free), part)
         return _cost(measured.at(name, bias), best, ~measured.apart) + 10 * _below(numbers)
 
-    grid = np.unique(errors.grid_of(name)[:, free], axis=0).astype(float)
+    grid = np.unique(_grid_of(name)[:, free], axis=0).astype(float)
     return _placed(_refined(cost, grid, grid.min(axis=0), grid.max(axis=0)), free)
 
 
@@ -307,7 +308,7 @@ def own_of(measured: Measured, name: str) -> tuple[np.ndarray, dict[str, float]]
     """The best pair of an engine's two settings for all scenes, in its own units, with its price and its shares of
     scenes."""
     best, one = measured.best(name), measured.in_texels(name, np.ones(2))
-    most = errors.grid_of(name).max(axis=0)
+    most = _grid_of(name).max(axis=0)
 
     def cost(own: np.ndarray) -> float:
         bias = measured.in_texels(name, own)
@@ -323,14 +324,6 @@ def own_of(measured: Measured, name: str) -> tuple[np.ndarray, dict[str, float]]
     return own, worth(measured.at(name, measured.in_texels(name, own)), best, measured.apart)
 
 
-def _shipped(measured: Measured, name: str) -> np.ndarray:
-    """The errors of what an engine ships: measured, or, where it is a length, as in scenes of their size in metres."""
-    shipped = errors.ENGINES[name]
-    if not shipped.lengths[0]:
-        return measured.shipped[name]
-    return measured.at(name, measured.in_texels(name, np.array(shipped.values)))
-
-
 def _ratio(value: float, units: np.ndarray) -> np.ndarray:
     return np.where(units != 0, value / np.where(units != 0, units, 1), 0.0)
 
@@ -339,8 +332,8 @@ def _ratio(value: float, units: np.ndarray) -> np.ndarray:
 
 
 def search(measured: Measured) -> dict[str, Any]:
-    """All rules and what they are worth, as JSON can store them."""
-    apart, names = measured.apart, _names()
+    """All rules for filters and what they are worth, as JSON can store them."""
+    apart, names = measured.apart, filter_names()
     filters: dict[str, Any] = {}
     for name in names:
         families = families_of(name)
@@ -358,21 +351,26 @@ def search(measured: Measured) -> dict[str, Any]:
             },
         }
     formulas = {label: _formula(measured, formula) for label, formula in FORMULAS.items()}
-    engines = {}
-    for name in (each for each in errors.ENGINES if each in measured.errors):
-        best, free = measured.best(name), (True, False, errors.ENGINES[name].has_offset)
-        own, own_worth = own_of(measured, name)
-        engines[name] = {
-            "shipped": worth(_shipped(measured, name), best, apart),
-            "own": own.tolist(),
-            "own_worth": own_worth,
-            **_rule(measured, name, rule_of(measured, name, free)),
-        }
     with_plane = _formula(measured, PLANE_FORMULA, PLANE_REACHES)
     rules = {name: left_out(measured, name) for name in names}
     found = {"filters": filters, "formulas": formulas, "plane": with_plane, "rules": rules}
-    found |= {"casters": _of_casters(measured, rules)}
-    return found | ({"engines": engines} if engines else {})
+    return found | {"casters": _of_casters(measured, rules)}
+
+
+def search_engines(measured: Measured) -> dict[str, Any]:
+    """What engines ship, and rules for them, as JSON can store them."""
+    found = {}
+    for name in measured.shipped:
+        best, has_offset = measured.best(name), len(_axes(name)[2]) > 1
+        own, own_worth = own_of(measured, name)
+        found[name] = {
+            "shipped": worth(measured.shipped[name], best, measured.apart),
+            "own": own.tolist(),
+            "own_worth": own_worth,
+            "is_own": shipped.follows_view(name),
+            **_rule(measured, name, rule_of(measured, name, (True, False, has_offset))),
+        }
+    return found
 
 
 def families_of(name: str) -> Mapping[str, tuple[bool, ...]]:
@@ -463,15 +461,17 @@ def show(console: Console, result: Mapping[str, Any]) -> None:
         numbers = ", ".join(f"{x:.2f}" for x in found["numbers"])
         table.add_row(label, numbers, f"{found['price']:.2f}", f"{found['acne']:.0%}", f"{found['leaks']:.0%}")
     console.print(table)
-    if "engines" not in result:
-        return
+
+
+def show_engines(console: Console, found: Mapping[str, Any]) -> None:
+    """Prints what engines ship, and the rules for them."""
     table = Table("engine", "rule", "settings", "price", "worst tenth", "acne", "leaks")
-    for name, found in result["engines"].items():
-        shipped = errors.ENGINES[name].values
-        table.add_row(name, "shipped", ", ".join(f"{x:g}" for x in shipped), *_worth_cells(found["shipped"]))
-        table.add_row(name, "best", ", ".join(f"{x:.3g}" for x in found["own"]), *_worth_cells(found["own_worth"]))
-        in_texels = ", ".join(f"{x:g}" for x in (found["bias"][0], found["bias"][2]))
-        table.add_row(name, "in texels", in_texels, *_worth_cells(found["tested"]))
+    for name, of in found.items():
+        values = shipped.ENGINES[name].shipped
+        table.add_row(name, "shipped", ", ".join(f"{x:g}" for x in values), *_worth_cells(of["shipped"]))
+        table.add_row(name, "best", ", ".join(f"{x:.3g}" for x in of["own"]), *_worth_cells(of["own_worth"]))
+        in_texels = ", ".join(f"{x:g}" for x in (of["bias"][0], of["bias"][2]))
+        table.add_row(name, "rule", in_texels, *_worth_cells(of["tested"]))
     console.print(table)
 
 

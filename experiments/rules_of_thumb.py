@@ -4,9 +4,10 @@
     python experiments/rules_of_thumb.py --scenes 110                # an hour
 
 Measures a collection of scenes, which is drawn from a seed, with all combinations of constant bias, slope bias and
-normal offset, for each filter and engine. A price is the error of a rule over that of the best bias for each scene. The
-rule of each filter is searched for in all scenes, and its price is also told for kinds of scenes that it was not
-searched for in. Formulas, and rules for engines, are searched for in one half of the scenes, and tested on the other.
+normal offset for each filter, and of the two biases of each engine, in scenes with a unit of one metre. A price is the
+error of a rule over that of the best bias for each scene. The rule of each filter is searched for in all scenes; its
+price is also stated for kinds of scenes that it was not searched for in. Formulas, and rules for engines, are searched
+for in one half of the scenes, and tested on the other.
 In half of the scenes, it also measures layouts of maps with the same number of texels, and in an eighth patterns of
 taps.
 
@@ -17,9 +18,8 @@ The folder keeps what was measured of each scene. A run that was stopped goes on
 bytes.
 """
 
-import functools
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,7 @@ import _rule_errors as errors
 import _rule_figures as figures
 import _rule_layouts as layouts
 import _rule_page as page
+import _rule_shipped as shipped
 import _rules as rules
 import numpy as np
 from cyclopts import App
@@ -46,7 +47,7 @@ ROOT = Path(__file__).parent.parent
 PAGE, PACKAGED = ROOT / "docs" / "rules_of_thumb.md", ROOT / "diffshadow" / "settings" / "rules.json"
 """What `--publish` writes, with the figures."""
 PARTS = ("biases", "engines", "layouts", "taps")
-"""What is measured. The others need the biases."""
+"""What is measured. Taps need the biases."""
 # The rule with which taps are measured.
 _DISK, _FAMILY = "random_disk, radius 4", "all three"
 
@@ -76,14 +77,13 @@ def main(
     pixels
         The side of an image, in pixels.
     in_engines
-        How many of the scenes that rules are tested on three.js and Babylon.js draw themselves.
+        How many of the scenes that rules are tested on the engines draw themselves, as far as Node.js runs them.
     parts
-        What is measured besides biases.
+        What is measured. Rules that are not measured stay as they are.
     meshes
         A folder of mesh files that scenes are also made of.
     publish
         Also write the tables and figures of docs/rules_of_thumb.md, and the rules that the package ships.
-        Rules that are not measured stay.
     output
         Where the folder rules_of_thumb is made.
     """
@@ -93,6 +93,9 @@ def main(
     common.expect("seed", seed, seed >= 0, "0 or more")
     common.expect("in_engines", in_engines, 0 <= in_engines <= scenes // 2, f"0 to {scenes // 2}, the test scenes")
     wanted = common.chosen("parts", parts, PARTS)
+    expected = "biases too, whose rule taps are measured with"
+    common.expect("parts", parts, "taps" not in wanted or "biases" in wanted, expected)
+    common.expect("in_engines", in_engines, not in_engines or "engines" in wanted, "0 without the part engines")
     lack = missing() if in_engines else None
     if lack is not None:
         raise ConfigError([Mistake(Location("--in-engines"), "", lack)])
@@ -104,33 +107,36 @@ def main(
     files += [] if meshes is None else mesh_files.in_folder(meshes.absolute())
     drawn = collection.Collection(seed, [str(path) for path in files])
 
-    def each(part: str, count: int, measure: Callable[[Config], dict[str, np.ndarray]], key: str = "") -> Iterator[Any]:
+    def each(part: str, count: int, measure: Callable[[Config], dict[str, np.ndarray]], key: str = "") -> list[Any]:
+        found = []
         for index in common.progress(range(count), part, console):
-            text = json.dumps(drawn.scene(index, pixels))
-            yield stored(folder / part / f"{index:05}.npz", text, key, measure)
+            text = json.dumps(drawn.scene(index, pixels, in_metres=part == "engines"))
+            found.append(stored(folder / part / f"{index:05}.npz", text, key, measure))
+        return found
 
     every = [drawn.kind(i) for i in range(scenes)]
     apart = [i // len(drawn.kinds) % 2 == 1 for i in range(scenes)]
-    sizes = [drawn.size(i) for i in range(scenes)]
-    has_engines = "engines" in wanted
-    measure = functools.partial(errors.measure, with_engines=has_engines)
-    found = list(each("biases", scenes, measure, "with engines" if has_engines else ""))
-    measured = rules.Measured.of(found, sizes, every, apart, with_engines=has_engines)
-    result = rules.search(measured)
-    bias = np.array(result["filters"][_DISK]["rules"][_FAMILY]["bias"])
+    measured, result = None, {}
+    if "biases" in wanted:
+        measured = rules.Measured.of(each("biases", scenes, errors.measure), rules.filter_names(), every, apart)
+        result = rules.search(measured)
+        rules.show(console, result)
+    if "engines" in wanted:
+        of_engines = rules.Measured.of(each("engines", scenes, shipped.measure), [*shipped.ENGINES], every, apart)
+        result["engines"] = rules.search_engines(of_engines)
+        rules.show_engines(console, result["engines"])
     if "layouts" in wanted:
-        result["layouts"] = layouts.compared(list(each("layouts", scenes // 2, layouts.layout_errors)), every)
+        result["layouts"] = layouts.compared(each("layouts", scenes // 2, layouts.layout_errors), every)
+        layouts.show_layouts(console, result["layouts"])
     if "taps" in wanted:
-        by_taps = list(each("taps", scenes // 8, lambda settings: layouts.tap_errors(settings, bias), str(bias)))
+        bias = np.array(result["filters"][_DISK]["rules"][_FAMILY]["bias"])
+        by_taps = each("taps", scenes // 8, lambda settings: layouts.tap_errors(settings, bias), str(bias))
         result["taps"] = layouts.taps_compared(by_taps)
+        layouts.show_taps(console, result["taps"])
     if in_engines:
         tested = [i for i in range(scenes) if apart[i]][:in_engines]
-        cases = [parse_config(json.dumps(drawn.scene(i, pixels))) for i in tested]
+        cases = [parse_config(json.dumps(drawn.scene(i, pixels, in_metres=True))) for i in tested]
         result["in_engines"] = engines.checked(cases, result["engines"], console)
-    rules.show(console, result)
-    if {"layouts", "taps"} <= result.keys():
-        layouts.show(console, result)
-    if in_engines:
         engines.show(console, result["in_engines"])
     about = {"scenes": scenes, "kinds": len(drawn.kinds), "seed": seed, "pixels": pixels, **result}
     _write(folder, about, drawn, measured, publish=publish)
@@ -142,16 +148,20 @@ def _write(
     folder: Path,
     about: Mapping[str, Any],
     drawn: collection.Collection,
-    measured: rules.Measured,
+    measured: rules.Measured | None,
     *,
     publish: bool,
 ) -> None:
-    """Writes the results and their figures into the folder, and what the page and the package take from them."""
-    made = {
-        f"{NAME}.png": figures.of_rules(about),
-        "collection.png": figures.of_collection(drawn, about["pixels"], measured.described),
-        "rules_worst.png": figures.of_worst(drawn, about, measured),
-    }
+    """Writes the results and their figures into the folder, and what the page and the package take from them.
+
+    `measured` is None where biases of filters were not."""
+    made = {}
+    if measured is not None:
+        made = {
+            f"{NAME}.png": figures.of_rules(about),
+            "collection.png": figures.of_collection(drawn, about["pixels"], measured.described),
+            "rules_worst.png": figures.of_worst(drawn, about, measured),
+        }
     for name, figure in made.items():
         for to in (folder, PAGE.parent / "images") if publish else (folder,):
             with io.atomic_path(to / name) as path:

@@ -69,6 +69,7 @@ class Engine(Technique):
     engine's own.
 
     - `biases`: the keys of its depth bias and its normal bias, and `bias_names` what the engine calls them.
+    - `follows_view`: whether the cameras of a directional light follow the view, so that texels have no fixed width.
     - `filter_key`: the key that chooses its filter, and `filters` those that are fitted, of directional and spot lights
         and of point lights.
     - `kinds`: of the lights that it draws.
@@ -80,6 +81,7 @@ class Engine(Technique):
     is_whole = True
     biases: ClassVar[tuple[str, str]] = ("bias", "normal_bias")
     bias_names: ClassVar[tuple[str, str]] = ("bias", "normalBias")
+    follows_view: ClassVar[bool] = False
     filter_key: ClassVar[str]
     filters: ClassVar[tuple[str, ...]]
     point_filters: ClassVar[tuple[str, ...]]
@@ -182,6 +184,7 @@ class PlayCanvas(Engine):
 
     biases = ("shadow_bias", "normal_offset_bias")
     bias_names = ("shadowBias", "normalOffsetBias")
+    follows_view = True
     filter_key = "shadow_type"
     filters = ("PCF1_32F", "PCF3_32F", "PCF5_32F")
     # The engine draws PCF5 of a point light as PCF3.
@@ -219,6 +222,7 @@ class Bevy(Engine):
 
     biases = ("shadow_depth_bias", "shadow_normal_bias")
     bias_names = ("shadow_depth_bias", "shadow_normal_bias")
+    follows_view = True
     filter_key = "shadow_filtering_method"
     filters = ("Hardware2x2", "Gaussian")
     point_filters = ()
@@ -254,6 +258,7 @@ class GodotCompatibility(Engine):
 
     biases = ("shadow_bias", "shadow_normal_bias")
     bias_names = ("shadow_bias", "shadow_normal_bias")
+    follows_view = True
     filter_key = "soft_filter_quality"
     filters = ("HARD", "SOFT_LOW", "SOFT_HIGH")
     point_filters = ("HARD",)

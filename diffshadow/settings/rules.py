@@ -52,13 +52,15 @@ class Rule(NamedTuple):
 class EngineRule(NamedTuple):
     """A bias for an engine's default filter, and what the engine ships.
 
-    - `constant`, `normal_offset`: in texels, the offset with the engine's own profile.
-    - `shipped`: what the engine's own default is worth. Bevy's and Filament's biases are lengths: their worth is in
-        scenes whose unit is a metre.
+    - `constant`, `normal_offset`: in texels, the offset with the engine's own profile. If `is_own`, they are the
+        engine's own settings, in scenes whose unit is a metre: where cameras of the light follow the view, no width of
+        a texel holds.
+    - `shipped`: what the engine's own default is worth, in scenes whose unit is a metre.
     """
 
     constant: float
     normal_offset: float
+    is_own: bool
     worth: Worth
     shipped: Worth
 
@@ -90,7 +92,7 @@ FILTER_RULES = {
 STARTS = {name: Numbers(*bias) for name, bias in _FOUND["starts"].items()}
 """By which numbers are not 0: the rule for a disk with a radius of 2 texels."""
 ENGINE_RULES: dict[EngineName, EngineRule] = {
-    name: EngineRule(of["bias"][0], of["bias"][1], Worth(*of["worth"]), Worth(*of["shipped"]))
+    name: EngineRule(of["bias"][0], of["bias"][1], of["own"], Worth(*of["worth"]), Worth(*of["shipped"]))
     for name, of in _FOUND["engines"].items()
 }
 """By the names that the command takes."""

@@ -15,12 +15,12 @@ from ...settings.engines import ENGINES, POLYGON_OFFSETS, EngineName
 from ...settings.quantities import FARTHEST, MAX_TEXELS
 from ...settings.rules import Worth
 from ...settings.scene import LightKind
-from ...shadow import ENGINE_TECHNIQUES, engine_settings, light_frame
+from ...shadow import ENGINE_TECHNIQUES, BabylonJs, engine_settings, light_frame
 from ..pages import _table as table
 from ..runs._formula_engines import FORMULA_ENGINES, beside, lines_of
 
 _KERNELS: Mapping[str, type[filters.Filter]] = {each.type: each for each in rules.RULED}
-# The filter of each engine that its rule was measured with, as in `FORMULA_ENGINES`.
+# The filter of each engine that its rule was measured with.
 _MEASURED: Mapping[EngineName, str] = {
     "three.js": "PCFShadowMap",
     "babylon.js": "FILTER_PCF, QUALITY_HIGH",
@@ -28,11 +28,15 @@ _MEASURED: Mapping[EngineName, str] = {
     "bevy": "Gaussian",
     "filament": "PCF",
     "unity": "Soft, Medium",
+    "playcanvas": "SHADOW_PCF3_32F",
+    "godot_compatibility": "Soft Low",
 }
+_IN_METRES = "for scenes whose unit is a metre; under a sun, the width of a texel follows the view camera"
 _THERE_ONLY = "settings that do not grow with the distance as texels do hold there only"
 # What the engines do beside the bias, and did where the rules were measured.
 _BESIDES: Mapping[EngineName, str] = {
     "three.js": "back faces cast, as by default (material.shadowSide)",
+    "playcanvas": "shadowBias also grows with the slope of what casts",
     **{name: f"beside {beside(name)}" for name in POLYGON_OFFSETS},
 }
 
@@ -182,28 +186,7 @@ def print_defaults(
         said = f"{', '.join(missing)}: {ENGINES[engine]}'s own; {_USUAL[engine].why}"
         sizes = f"a map of {whole.map}², {whole.window:.4g} wide and {whole.depth:.4g} deep"
         table.print_lines(console, [f"for {sizes} ({said})"])
-    if engine in rules.ENGINE_RULES:
-        _print_engine(engine, whole, console)
-    else:
-        _print_shipped(engine, whole, console)
-
-
-def _print_shipped(engine: EngineName, of_map: LightOptions, console: Console) -> None:
-    """What an engine without a rule has where nobody sets anything."""
-    light, distance = of_map.made()
-    texel = light_frame(light, (of_map.map or 0, of_map.map or 0), distance).texel
-    settings = ENGINE_TECHNIQUES[engine].settings
-    given = [
-        f"{name} = {getattr(settings, key):g}" for key, name in zip(settings.biases, settings.bias_names, strict=True)
-    ]
-    table.print_lines(
-        console,
-        [
-            f"{ENGINES[engine]}'s default is {', '.join(given)}; a texel is {texel:.4g} world units wide",
-            "no rule has been measured for it",
-            f"for your own scene: diffshadow advise CONFIG --engine {engine}",
-        ],
-    )
+    _print_engine(engine, whole, console)
 
 
 def _refuse(needed: str, of: str, given: Mapping[str, float | None]) -> None:
@@ -275,60 +258,74 @@ def _print_engine(engine: EngineName, of_map: LightOptions, console: Console) ->
     rule, size = rules.ENGINE_RULES[engine], of_map.map or 0
     light, distance = of_map.made()
     texel = light_frame(light, (size, size), distance).texel
-    known, offset = FORMULA_ENGINES.get(engine), rule.normal_offset
-    if known is None:
-        lines = _exact_lines(engine, light, size, rule.constant * texel, offset, distance)
+    is_exact = engine in ENGINE_TECHNIQUES and of_map.light in ENGINE_TECHNIQUES[engine].settings.kinds
+    if is_exact or rule.is_own:
+        lines = _exact_lines(engine, light, size, distance)
     else:
-        found = engine_settings(light, (size, size), 1.0, 1.0, distance)
-        has = {each.setting for each in found if each.engine == ENGINES[engine] and each.value}
-        if known.bias not in has:
-            raise ValueError(
-                f"{ENGINES[engine]} has no bias for a {of_map.light} light that is known here; expected another light"
-            )
-        offset = offset if known.offset in has else 0.0
-        chosen = next(each for each in known.filters if each.label == _MEASURED[engine])
-        radius = float(chosen.section.get("radius", 0.0))
-        lines = lines_of(engine, chosen, radius, light, (size, size), rule.constant * texel, offset, distance)
-    title = f"{ENGINES[engine]}, {_MEASURED[engine]}: {rule.constant:.3g} texels towards the light"
-    if offset:
-        title += f", and {offset:.3g} along the normal"
+        lines = _formula_lines(engine, of_map, distance)
+    title = f"{ENGINES[engine]}, {_MEASURED[engine]}"
+    if not rule.is_own:
+        title += f": {rule.constant:.3g} texels towards the light"
+        title += f", and {rule.normal_offset:.3g} texels along the normal" if rule.normal_offset else ""
     at = "" if light.is_directional else f" at the distance {distance:g}"
     table.print_code(console, f"{title}; a texel is {texel:.4g} world units wide{at}", "\n".join(lines))
     table.print_lines(
         console,
         [
             *([_BESIDES[engine]] if engine in _BESIDES else []),
+            *([_IN_METRES] if rule.is_own else []),
             _sentence(rule.worth),
-            f"what {ENGINES[engine]} ships: {_sentence(rule.shipped)}",
+            f"the default of {ENGINES[engine]}: {_sentence(rule.shipped)}",
             *([] if light.is_directional else [_THERE_ONLY]),
-            *(
-                []
-                if known is None or engine in ENGINE_TECHNIQUES
-                else [f"read from {ENGINES[engine]}'s sources, and not verified against the engine"]
-            ),
-            f"for your own scene: diffshadow advise CONFIG --engine {engine}",
+            *([] if is_exact else [f"read from {ENGINES[engine]}'s sources, and not verified against the engine"]),
         ],
     )
 
 
-def _exact_lines(
-    engine: EngineName, light: AbstractLight, size: int, shift: float, offset: float, distance: float
-) -> list[str]:
-    found = engine_settings(light, (size, size), shift, offset, distance)
-    values = {each.setting: each.value for each in found if each.engine == ENGINES[engine] and each.value is not None}
-    if engine == "three.js":
-        return [
-            f"light.shadow.mapSize.set({size}, {size});",
-            *(f"{name} = {value + 0.0:.4g};" for name, value in values.items()),
-        ]
-    # Under a point light, PCF becomes POISSON.
-    bias = next(name for name in ("generator.bias (PCF)", "generator.bias (NONE, POISSON, ESM)") if name in values)
-    return [
-        f"const generator = new BABYLON.ShadowGenerator({size}, light);",
+# The lines that set the map of an engine and its filter, of a map with {size} texels a side.
+_SET_UP: Mapping[EngineName, Sequence[str]] = {
+    "three.js": ("light.shadow.mapSize.set({size}, {size});",),
+    "babylon.js": (
+        "const generator = new BABYLON.ShadowGenerator({size}, light);",
         "generator.usePercentageCloserFiltering = true;",
-        f"generator.bias = {values[bias]:.4g};",
-        f"generator.normalBias = {values['generator.normalBias']:.4g};",
-    ]
+    ),
+    "bevy": ("commands.entity(camera).insert(ShadowFilteringMethod::Gaussian);",),
+    "playcanvas": ("light.shadowResolution = {size};", "light.shadowType = pc.SHADOW_PCF3_32F;"),
+    "godot_compatibility": (
+        "RenderingServer.directional_soft_shadow_filter_set_quality(RenderingServer.SHADOW_QUALITY_SOFT_LOW)",
+    ),
+}
+_OWNERS: Mapping[EngineName, str] = {"three.js": "light.shadow", "babylon.js": "generator"}
+
+
+def _exact_lines(engine: EngineName, light: AbstractLight, size: int, distance: float) -> list[str]:
+    rule, kind = rules.ENGINE_RULES[engine], ENGINE_TECHNIQUES[engine]
+    values = [rule.constant, rule.normal_offset]
+    if not rule.is_own:
+        technique = BabylonJs(filter="PCF") if engine == "babylon.js" else kind()  # pyright: ignore[reportCallIssue]
+        frame = light_frame(light, (size, size), distance)
+        technique = technique.biased(frame, rule.constant * frame.texel, rule.normal_offset * frame.texel, distance)
+        values = [float(getattr(technique, key)) + 0.0 for key in kind.settings.biases]
+    end = "" if kind.settings.suffix == "gd" else ";"
+    named = zip(kind.settings.bias_names, values, strict=True)
+    settings = [f"{_OWNERS.get(engine, 'light')}.{name} = {value:.4g}{end}" for name, value in named]
+    return [*(line.format(size=size) for line in _SET_UP[engine]), *settings]
+
+
+def _formula_lines(engine: EngineName, of_map: LightOptions, distance: float) -> list[str]:
+    """**Raises** `ValueError` if the engine has no bias for the light."""
+    rule, known, (light, _) = rules.ENGINE_RULES[engine], FORMULA_ENGINES[engine], of_map.made()
+    size = (of_map.map or 0, of_map.map or 0)
+    found = engine_settings(light, size, 1.0, 1.0, distance)
+    has = {each.setting for each in found if each.engine == ENGINES[engine] and each.value}
+    if known.bias not in has:
+        raise ValueError(
+            f"{ENGINES[engine]} has no bias for a {of_map.light} light that is known here; expected another light"
+        )
+    shift = rule.constant * light_frame(light, size, distance).texel
+    offset = rule.normal_offset if known.offset in has else 0.0
+    chosen = next(each for each in known.filters if each.label == _MEASURED[engine])
+    return lines_of(engine, chosen, float(chosen.section.get("radius", 0.0)), light, size, shift, offset, distance)
 
 
 def _cells(worth: Worth) -> list[str]:

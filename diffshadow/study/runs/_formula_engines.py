@@ -15,6 +15,8 @@ from ...settings.rules import ENGINE_RULES
 from ...shadow import GODOT_QUALITIES, OFFSET_PROFILES, LightFrame, engine_settings, light_frame
 from ._engine import FACES, SIDES, Lit
 
+# Where fits start without a rule, in texels.
+_START = 2.0
 _MOST = {"constant": 30.0, "normal_offset": 4.0}
 # Godot divides its bias by the radius.
 _RADII = (0.25, 16.0)
@@ -211,7 +213,8 @@ def _widest(lit: list[Lit], size: tuple[int, int]) -> float:
 
 
 def _bias(label: str, name: EngineName, *fitted: str) -> dict[str, Any]:
-    starts = {key: getattr(ENGINE_RULES[name], key) if key in fitted else 0.0 for key in _MOST}
+    rule = ENGINE_RULES[name]
+    starts = {key: (_START if rule.is_own else getattr(rule, key)) if key in fitted else 0.0 for key in _MOST}
     return {
         LABEL: label,
         "bias": {**starts, "slope": 0.0, "normal_offset_profile": OFFSET_PROFILES[ENGINES[name]]},
