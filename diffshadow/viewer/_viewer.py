@@ -15,12 +15,14 @@ from .. import study
 from ..config import Config, changed, dump_resolved, parse_config, printable
 from ._drawing_cache import DrawingCache, Frame, Picture, Recent
 from ._fits import Fit
-from ._pictures import figures_of, picture_of, views_of
+from ._pictures import OF_TRUTH, figures_of, picture_of, views_of
 from ._state import Look, State
 from ._subject import Subject, value_at
 from ._trace import Tracer
 
 _QUALITY = 90
+# Pixels of a full picture that are drawn in time while a slider is dragged, also with many taps.
+_FAST_PIXELS = 256 * 256
 _ANGLES = ("azimuth", "elevation")
 
 
@@ -112,14 +114,23 @@ class Viewer:
         return Frame(self.cache, subject, look, size)
 
     def show(self, look: Look, *, at_rest: bool) -> Shown:
-        """A picture of `look`. While it moves, it is of half the size if surface or map are to be drawn."""
-        return self.shown(look, full=at_rest or not self.frame(look, full=True).moves)
+        """A picture of `look`. While it moves, it is of half the size if surface or map are to be drawn, and if it is
+        large. Views of the reference have no other size."""
+        return self.shown(look, full=at_rest or self._is_fast(look))
+
+    def _is_fast(self, look: Look) -> bool:
+        """Whether a full picture of `look` comes fast enough while it moves."""
+        frame = self.frame(look, full=True)
+        if frame.moves:
+            return False
+        of_truth = look.view in OF_TRUTH and self.tracer.reference(frame.truth_key) is not None
+        return of_truth or frame.size[0] * frame.size[1] <= _FAST_PIXELS
 
     def shown(self, look: Look, *, full: bool) -> Shown:
         """A picture of `look` in full or half size."""
         started = time.perf_counter()
         frame = self.frame(look, full=full)
-        known = self.tracer.known(frame.truth_key)
+        known = self.tracer.known(self.frame(look, full=True).truth_key)
         truth = known.reference if full else None
         picture, view = picture_of(frame, look.view, truth), look.view
         if picture is None:
@@ -130,7 +141,7 @@ class Viewer:
             "view": view,
             "is_full": full,
             "figures": {} if truth is None else figures_of(frame, truth),
-            "rays": 0 if truth is None else truth.samples,
+            "rays": 0 if known.reference is None else known.reference.samples,
             "untraced": known.reason,
             "size": frame.size,
             "views": views_of(frame),

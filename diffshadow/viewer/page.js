@@ -67,7 +67,8 @@ function paint() {
 }
 
 function sentence({ figures, rays, is_full, view, untraced }) {
-  if (!is_full) return "";
+  // The reference is still that of the figures; those of the new settings follow at rest.
+  if (!is_full) return rays ? $("figures").textContent : "";
   if (untraced) return untraced;
   const waits = view !== look.view ? `; ${look.view} follows` : "";
   if (!rays) return `tracing the reference${waits}`;
