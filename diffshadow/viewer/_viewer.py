@@ -4,6 +4,7 @@ import io
 import json
 import shlex
 import time
+from base64 import b64encode
 from collections.abc import Callable, Hashable
 from typing import Any, NamedTuple
 
@@ -11,7 +12,7 @@ import numpy as np
 from PIL import Image
 from rich.console import Console
 
-from .. import study
+from .. import shadow, study
 from ..config import Config, changed, dump_resolved, parse_config, printable
 from ._drawing_cache import DrawingCache, Frame, Picture, Recent
 from ._fits import Fit
@@ -170,6 +171,10 @@ class Viewer:
             "camera": {"eye": camera.eye, "target": camera.target, "height": getattr(camera, "height", None)},
             "up": camera.up,
             "size": subject.size,
+            "engines": [*shadow.ENGINE_TECHNIQUES],
+            "middle": subject.middle,
+            "radius": subject.radius,
+            "box": {"low": subject.box[0], "high": subject.box[1]},
             "resolution": subject.config.scene.camera.resolution,
             "fitted": subject.fitted,
             "fit": self.fit.state,
@@ -184,6 +189,14 @@ class Viewer:
         config = self.subject(state).saved(state)
         command = ["diffshadow", "render", self.name, *overrides_of(settings_of(state, self.config, config))]
         return {"yaml": dump_resolved(config), "name": f"{config.name}-view.yaml", "command": shlex.join(command)}
+
+    def png(self, look: Look) -> str:
+        """The full picture of `look` as PNG, in base64. It is not compared with another."""
+        frame = self.frame(look, full=True)
+        picture = picture_of(frame, look.view, self.tracer.reference(frame.truth_key))
+        out = io.BytesIO()
+        Image.fromarray(frame.shaded() if picture is None else picture).save(out, "PNG")
+        return b64encode(out.getvalue()).decode()
 
     def start_fit(self, state: State) -> int | None:
         """Starts a fit from `state`, unless one is running. **Returns** its number.
@@ -206,8 +219,10 @@ class Viewer:
         return text.file.getvalue()  # type: ignore[attr-defined]
 
     def _before(self, frame: Frame, look: Look, like: Picture) -> Picture:
-        """The same view under the configuration's own technique."""
+        """The same view under the configuration's own technique, or the defaults of an engine."""
         scene = {key: value for key, value in look.state.structure.items() if key.startswith("scene.")}
+        if isinstance(look.split, str):
+            scene["technique"] = {"type": look.split}
         own = self.subject(look.state.model_copy(update={"structure": scene}))
         numbers = {name: value for name, value in look.state.numbers.items() if name.startswith(("scene.", "shading."))}
         state = look.state.model_copy(update={"structure": scene, "numbers": numbers})

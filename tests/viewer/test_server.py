@@ -19,7 +19,7 @@ from viewed import TINY
 
 import diffshadow
 from diffshadow.config import ConfigError, build_scene, parse_config
-from diffshadow.viewer import _trace
+from diffshadow.viewer import _server, _trace
 from diffshadow.viewer._server import Server, serve
 from diffshadow.viewer._viewer import Viewer
 
@@ -223,6 +223,24 @@ def test_no_page_waits_for_what_another_has_to_compile(monkeypatch):
     talking(script)
 
 
+def test_freed_memory_is_given_back_at_rest_and_not_while_a_slider_is_dragged(monkeypatch):
+    given = []
+    monkeypatch.setattr(_server, "give_back_freed_memory", lambda: given.append(threading.current_thread().name))
+
+    async def script(server, opened):
+        page = await opened()
+        await page.send(look=look(**{"scene.light.azimuth": 41.0}))
+        about = await page.hear("about")
+        assert not about["is_full"]
+        assert given == []
+        await page.send(shown=about["number"])
+        assert (await page.hear("about"))["is_full"]
+        assert await page.is_silent(0.1)
+        assert [name.partition("_")[0] for name in given] == ["compiling"]
+
+    talking(script)
+
+
 def test_a_page_at_rest_gets_its_reference_while_another_is_dragged():
     async def script(server, opened):
         one, other = await opened(), await opened()
@@ -284,7 +302,7 @@ WRONG = [
     ('{"look": {"state": {"numbers": {"bias.constant": 1e999}}}}', "look.state.numbers.bias.constant"),
     ('{"steal": 1}', "steal"),
     ("[]", "the message"),
-    ("{}", "the message is empty; expected an object with one of look, shown, save, code, fit, stop"),
+    ("{}", "the message is empty; expected an object with one of look, shown, save, code, picture, fit, stop"),
     ("x" * (1 << 20), "the message has 1,048,576 characters; expected at most 262,144; send less"),
     ('{"stop": "maybe"}', "stop: Input should be a valid boolean"),
     ('{"shown": 1.5}', "is 1.5"),
