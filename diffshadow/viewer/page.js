@@ -51,6 +51,8 @@ async function show(data) {
   send({ shown: about.number });
   fill($("view"), about.views.includes(look.view) ? about.views : [look.view, ...about.views], look.view);
   say("figures", sentence(about));
+  // Those of the picture before, until this one is at rest.
+  $("figures").classList.toggle("old", !about.is_full);
   say("note", `${about.size[1]} × ${about.size[0]} pixels in ${about.milliseconds} ms`);
   document.body.dataset.full = about.is_full; // for tests
   document.body.dataset.number = about.number;
