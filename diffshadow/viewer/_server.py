@@ -248,13 +248,13 @@ class Page(tornado.websocket.WebSocketHandler):
         if asked.stop and self.server.is_made:
             self.server.viewer.fit.stop()
         if asked.save is not None:
-            self._answer("saved", lambda: self.server.viewer.save(asked.save))
+            self._answer("saved", lambda viewer, state: viewer.save(state), asked.save)
         if asked.code is not None:
-            self._answer("code", lambda: self.server.viewer.code(asked.code))
+            self._answer("code", lambda viewer, look: viewer.code(look), asked.code)
         if asked.picture is not None:
-            self._answer("picture", lambda: self.server.viewer.png(asked.picture))
+            self._answer("picture", lambda viewer, look: viewer.png(look), asked.picture)
         if asked.fit is not None:
-            self._answer("started", lambda: self.server.viewer.start_fit(asked.fit))
+            self._answer("started", lambda viewer, state: viewer.start_fit(state), asked.fit)
         self.woken.set()
 
     def traced(self, key: Hashable) -> None:
@@ -268,10 +268,10 @@ class Page(tornado.websocket.WebSocketHandler):
         if self.server.is_made:
             self.server.viewer.tracer.rest(self)
 
-    def _answer(self, part: str, work: Callable[[], Any]) -> None:
+    def _answer(self, part: str, work: Callable[["Viewer", Any], Any], given: Any) -> None:
         async def answer() -> None:
             with self._errors():
-                self.tell(**{part: await self._do(self.server.drawing, work)})
+                self.tell(**{part: await self._do(self.server.drawing, lambda: work(self.server.viewer, given))})
 
         # The loop itself keeps only weak references.
         task = asyncio.ensure_future(answer())

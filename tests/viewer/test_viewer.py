@@ -70,13 +70,13 @@ def test_only_what_depends_on_a_change_is_drawn_again(viewer):
 
 def test_many_changes_keep_no_more_than_a_few(viewer):
     kept = []
-    for i in range(24):
+    for i in range(16):
         numbers = {"bias.constant": 0.125 * i, "scene.light.azimuth": 1.5 * i, "scene.meshes.0.translate.0": 0.002 * i}
         camera = Camera(eye=(2.0 + 0.01 * i, 2.5, 3.0), target=(0.0, 0.4, 0.0))
         each = look(numbers=numbers, camera=camera)
         for at_rest in (False, True):
             viewer.show(each, at_rest=at_rest)
-        if i >= 16:
+        if i >= 10:
             gc.collect()
             kept.append(len(jax.live_arrays()))
     assert kept[-1] <= kept[0] + 10, "one change makes more"
