@@ -4,7 +4,7 @@
 const $ = (id) => document.getElementById(id);
 const picture = $("picture"), context = picture.getContext("2d");
 const PAUSE = 400; // milliseconds without a change after which an undo step ends
-const SUN_AT = 1.3; // radii of the first mesh from its middle
+const SUN_AT = [1.3, 1, 0.7, 0.5]; // radii of the first mesh from its middle: the first that is in the picture
 const TURN = 0.4, KEY_TURN = 4, KEY_ZOOM = 1.08; // degrees a pixel, degrees a key, factor a key
 
 const blank = () => ({ scene: null, structure: {}, numbers: {}, camera: null, fitted: null });
@@ -378,10 +378,16 @@ function frameAll() {
     if (camera.height) camera.height *= most((c) => Math.max(Math.abs(dot(c, right)) / wide, Math.abs(dot(c, up)) / tall));
     camera.target = middle;
     camera.eye = add(middle, away, camera.height ? Math.hypot(...add(camera.eye, camera.target, -1)) : distance);
+    // A far plane of the configuration's own may be too near.
+    const far = rows.get("scene.camera.far"), needed = distance + controls.size / 2;
+    if (far && needed > value("scene.camera.far")) look.state.numbers["scene.camera.far"] = Math.min(needed, far.slider.high);
   });
+  refresh();
 }
 
-// --- The light in the picture: a sun at a fixed distance from the first mesh, or a lamp at its place ---
+// --- The light in the picture: a lamp at its place, or the direction that the light comes from, near the first mesh ---
+
+let held = null; // while it is dragged: the last event, and how far the handle is from the middle
 
 // Where it is, and by which numbers it moves.
 function lampAt() {
@@ -390,9 +396,12 @@ function lampAt() {
   if (place.every((key) => rows.has(key))) return { keys: place, at: place.map(value) };
   if (azimuth === undefined) return null;
   const a = value(azimuth) * Math.PI / 180, e = value(elevation) * Math.PI / 180;
-  const far = controls.radius * (value(`${name}.orbit.distance`) ?? SUN_AT);
-  const direction = [Math.sin(a) * Math.cos(e), Math.sin(e), Math.cos(a) * Math.cos(e)];
-  return { keys: [azimuth, elevation], at: add(controls.middle, direction, far), far, direction };
+  const direction = [Math.sin(a) * Math.cos(e), Math.sin(e), Math.cos(a) * Math.cos(e)], [wide, tall] = shownHalf(), by = lens();
+  const handle = (far) => ({ keys: [azimuth, elevation], at: add(controls.middle, direction, far), far, direction });
+  if (held?.far) return handle(held.far);
+  const handles = SUN_AT.map((radii) => handle(controls.radius * radii));
+  const isShown = ({ at }) => { const p = projected(at, by, tall); return p && Math.abs(p[0]) < wide - 15 && Math.abs(p[1]) < tall - 15; };
+  return handles.find(isShown) ?? handles[0];
 }
 
 // A point of the world in pixels of the page, from the middle of the picture; none behind the camera.
@@ -441,13 +450,12 @@ function moveLamp(dx, dy) {
   refresh();
 }
 
-let held = null;
-$("lamp").onpointerdown = (event) => { $("lamp").setPointerCapture(event.pointerId); held = event; };
+$("lamp").onpointerdown = (event) => { $("lamp").setPointerCapture(event.pointerId); held = { event, far: lampAt().far }; };
 $("lamp").onpointerup = $("lamp").onpointercancel = () => { held = null; };
 $("lamp").onpointermove = (event) => {
   if (!held) return;
-  const [dx, dy] = [event.clientX - held.clientX, event.clientY - held.clientY];
-  held = event;
+  const [dx, dy] = [event.clientX - held.event.clientX, event.clientY - held.event.clientY];
+  held.event = event;
   moveLamp(dx, dy);
 };
 $("lamp").onkeydown = (event) => {
