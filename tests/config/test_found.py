@@ -197,7 +197,7 @@ def test_without_finding_all_keys_are_checked_and_no_mesh_is_read(tmp_path):
     file.write_text("scene: {meshes: [path: broken.obj], camera: auto, light: auto}\n")
     settings = load_config(file, ["filter.radius=2.5"], finding=False)
     assert settings.filter.radius == 2.5
-    with pytest.raises(ConfigError, match="filter.typ: is not a key of filter"):
+    with pytest.raises(ConfigError, match=r"filter\.typ: is not a key of filter"):
         load_config(file, ["filter.typ=pcf"], finding=False)
     with pytest.raises(ConfigError, match=r"scene\.light\.elevaton"):
         load_config(file, ["fit.views={grid: {scene.light.elevaton: [30, 60]}}"], finding=False)
