@@ -61,7 +61,7 @@ IMPORTED_BY = {
     "metrics": {"study", "viewer"},
     "io": {"config", "study", "viewer", "cli"},
     "_xla": {"study"},
-    "_memory": {"fit", "study"},
+    "_memory": {"fit", "study", "viewer"},
     "_interrupts": {"cli"},
     "_display": set(),
     "_setup": {"cli"},

@@ -6,9 +6,10 @@ import sys
 from pathlib import Path
 from typing import Any, Literal
 
+from ..config import is_mesh, load_config
 from ..console import Console
 from ..settings.quantities import MAX_TEXELS
-from ._app import SUCCESS, app, check_count, counting, loaded, print_end, to_try
+from ._app import SUCCESS, app, check_count, counting, file_of, loaded, print_end, to_try
 from ._jax import start_jax
 
 # More frames would take gigabytes.
@@ -34,11 +35,15 @@ def view(config: Path, /, *overrides: str, port: int = 0, browser: bool = True) 
     browser
         Whether to open the page in a browser.
     """
-    settings = loaded(config, overrides)
-    start_jax()
+    file = file_of(config)
+    # Mistakes are reported before the address. What is left out is found once the page is there, since that loads
+    # meshes. A mesh file alone has no mistakes in keys.
+    if overrides or not is_mesh(file) or not file.is_file():
+        load_config(file, overrides, finding=is_mesh(file))
     from ..viewer import run
 
-    run(settings, name=str(config), console=Console(), port=port, browser=browser)
+    settings = lambda: loaded(file, overrides)
+    run(settings, name=str(config), console=Console(), port=port, browser=browser, start=start_jax)
     print_end(None, to_try(config, overrides)[::2])
     # Threads that draw or trace would delay an ordinary exit.
     sys.stdout.flush()

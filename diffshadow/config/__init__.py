@@ -29,6 +29,7 @@ from .reading._of_run import settings_file, with_fitted
 from .reading._sweep_runs import CheckProgress as CheckProgress
 from .reading._sweep_runs import Sweep, SweepRun, SweepRuns, load_sweep
 from .reading._templates import DEFAULT_TEMPLATE as DEFAULT_TEMPLATE
+from .reading._templates import is_mesh as is_mesh
 from .reading._templates import write_template as write_template
 from .sections._axes import LABEL as LABEL
 from .sections._config import Config, FitView

@@ -7,18 +7,12 @@ from typing import Any
 from rich.console import Console
 
 from .. import fit, study
-from ..config import Config, ConfigError
+from ..config import Config
+from ._reasons import reason_of
 from ._threads import start
 
 # Digits of values that a page shows.
 _DIGITS = 8
-
-
-def reason_of(error: Exception) -> str:
-    """What to say about an `error`."""
-    if isinstance(error, ConfigError):
-        return "; ".join(f"{mistake.key}: {mistake.message}" for mistake in error.mistakes)
-    return str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
 
 
 class Fit:

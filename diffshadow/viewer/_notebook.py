@@ -162,7 +162,7 @@ def _config_of(scene: Scene, overrides: tuple[str, ...], folder: Path) -> Config
 def _serve(config: Config, name: str, port: int, started: Future[Server]) -> None:
     """Serves until the server that it starts is `ended`, and all its work too."""
     try:
-        asyncio.run(serve(config, name, port, started.set_result))
+        asyncio.run(serve(config, name, port, prepared=started.set_result))
     except Exception as error:
         if started.done():
             raise

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from .. import geometry, metrics, shadow
+# The colours of `study` load Matplotlib on first use: shaded pictures do without.
+from .. import geometry, metrics, shadow, study
 from .._types import HostArray
 from ..reference import Reference
-from ..study import difference_colours, marked, on_surface, tinted
 from ._drawing_cache import Frame, Picture
 from ._state import View
 
@@ -54,11 +54,11 @@ def as_picture(image: Float[HostArray, "h w 3"]) -> Picture:
 
 
 def _visibility(frame: Frame) -> Picture:
-    return as_picture(on_surface(np.asarray(frame.visibility(frame.light)), np.asarray(frame.surface.mask)))
+    return as_picture(study.on_surface(np.asarray(frame.visibility(frame.light)), np.asarray(frame.surface.mask)))
 
 
 def _reference(frame: Frame, truth: Reference) -> Picture:
-    return as_picture(on_surface(truth.visibility, truth.mask))
+    return as_picture(study.on_surface(truth.visibility, truth.mask))
 
 
 def _difference(frame: Frame, truth: Reference) -> tuple[Float[HostArray, "h w"], Bool[HostArray, "h w"]]:
@@ -68,12 +68,12 @@ def _difference(frame: Frame, truth: Reference) -> tuple[Float[HostArray, "h w"]
 
 
 def _error(frame: Frame, truth: Reference) -> Picture:
-    return as_picture(difference_colours(*_difference(frame, truth)))
+    return as_picture(study.difference_colours(*_difference(frame, truth)))
 
 
 def _marks(frame: Frame, truth: Reference) -> Picture:
     difference, mask = _difference(frame, truth)
-    return as_picture(marked(frame.shaded()[::-1] / 255, difference, truth.visibility, mask))
+    return as_picture(study.marked(frame.shaded()[::-1] / 255, difference, truth.visibility, mask))
 
 
 def _map(frame: Frame) -> Picture:
@@ -88,7 +88,7 @@ def _map(frame: Frame) -> Picture:
     depth = depth[::step, ::step]
     seen = depth < 1
     low, high = (depth[seen].min(), depth[seen].max()) if seen.any() else (0.0, 1.0)
-    return as_picture(on_surface(1 - (1 - _FAR) * (depth - low) / max(high - low, 1e-6), seen))
+    return as_picture(study.on_surface(1 - (1 - _FAR) * (depth - low) / max(high - low, 1e-6), seen))
 
 
 def _layers(frame: Frame) -> shadow.LayerFigure | None:
@@ -101,7 +101,7 @@ def _layers(frame: Frame) -> shadow.LayerFigure | None:
 def _tinted(frame: Frame) -> Picture | None:
     """The shaded picture, with a colour for the layer of the map that each pixel is looked up in."""
     layers = _layers(frame)
-    return None if layers is None else as_picture(tinted(frame.shaded()[::-1] / 255, layers))
+    return None if layers is None else as_picture(study.tinted(frame.shaded()[::-1] / 255, layers))
 
 
 _PLAIN: Mapping[View, Callable[[Frame], Picture | None]] = {

@@ -7,19 +7,22 @@ import socket
 import struct
 import time
 from collections.abc import Callable, Hashable, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from importlib.resources import files
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import tornado.web
 import tornado.websocket
 from pydantic import ValidationError
 from tornado.httpserver import HTTPServer
 
+from .._memory import give_back_freed_memory
 from ..config import Config, printable
-from ._fits import reason_of
+from ._reasons import reason_of
 from ._state import Look, Message, State
-from ._viewer import Viewer
+
+if TYPE_CHECKING:
+    from ._viewer import Viewer
 
 HOST = "127.0.0.1"
 # Seconds without a change after which a picture is drawn in full size.
@@ -42,12 +45,16 @@ _POLICY = (
 class Server:
     """The server of one configuration. Its methods are called in the thread of the event loop that it was made in.
 
+    It can listen at once. Another thread calls `start`, loads JAX and builds the configuration, which `stage` follows.
+    The configuration may also be a function that gives it, which that thread calls.
+
     - `ended`: set it to end what `serve` serves.
     - `last`: the settings that a page has shown last; none before.
     - `drawn`: the structures that full pictures were drawn of, which compile nothing.
+    - `stage`: what has to be done before its first picture.
     """
 
-    def __init__(self, config: Config, name: str):
+    def __init__(self, config: Config | Callable[[], Config], name: str, start: Callable[[], None] = lambda: None):
         self.loop = asyncio.get_running_loop()
         self.ended = asyncio.Event()
         self.pages: set[Page] = set()
@@ -56,12 +63,47 @@ class Server:
         self.compiling = ThreadPoolExecutor(1, thread_name_prefix="compiling")
         self.last: State | None = None
         self.drawn: set[str] = set()
-        self.viewer = Viewer(config, name, self._in_loop(self._traced), self._in_loop(self._fitted))
+        self.stage = "loading JAX"
+        self._make = lambda: self._viewer_of(config, name, start)
+        self._made: Future[Viewer] = Future()
         self._http: HTTPServer | None = None
         self.address = ""
 
+    def _viewer_of(self, config: Config | Callable[[], Config], name: str, start: Callable[[], None]) -> "Viewer":
+        start()
+        from ._viewer import Viewer
+
+        self._in_loop(self._tell_stage)("reading meshes and building the technique")
+        given = config if isinstance(config, Config) else config()
+        viewer = Viewer(given, name, self._in_loop(self._traced), self._in_loop(self._fitted))
+        self._in_loop(self._tell_stage)("drawing the first picture")
+        return viewer
+
+    @property
+    def viewer(self) -> "Viewer":
+        """What draws. It is waited for until it is made, so this is for other threads before that.
+
+        **Raises** what making it raised.
+        """
+        return self._made.result()
+
+    @property
+    def is_made(self) -> bool:
+        """Whether there is a `viewer`."""
+        return self._made.done() and not self._made.cancelled() and self._made.exception() is None
+
+    async def prepared(self) -> None:
+        """Waits until there is a `viewer`. **Raises** what making it raised, once all pages know."""
+        try:
+            await asyncio.wrap_future(self._made)
+        except Exception as error:
+            for page in self.pages:
+                page.tell(error=reason_of(error))
+            raise
+
     def start(self, port: int) -> None:
-        """Listens on `port`, or any free one for 0. **Raises** `ValueError` if it is taken."""
+        """Listens on `port`, or any free one for 0, and begins to make the `viewer`. **Raises** `ValueError` if the
+        port is taken."""
         try:
             if not 0 <= port <= _MOST_PORT:
                 raise OverflowError("there is no such port")
@@ -78,6 +120,7 @@ class Server:
         self._http = http = HTTPServer(application)
         http.add_socket(bound)
         self.address = f"http://{HOST}:{bound.getsockname()[1]}/"
+        self._made = self.compiling.submit(self._make)
 
     def stop(self) -> None:
         """Closes all pages, stops listening, and stops what is drawn, traced and fitted after its present step."""
@@ -87,7 +130,8 @@ class Server:
             self._http.stop()
         for thread in (self.drawing, self.compiling):
             thread.shutdown(wait=False, cancel_futures=True)
-        self.viewer.close()
+        if self.is_made:
+            self.viewer.close()
 
     async def hang_up(self) -> None:
         """Closes the connections that are left after `stop`."""
@@ -98,9 +142,10 @@ class Server:
         """Waits until what `stop` stops has ended. Called in another thread, or once the loop has ended."""
         for thread in (self.drawing, self.compiling):
             thread.shutdown()
-        # A fit may have been about to start.
-        self.viewer.close()
-        self.viewer.join()
+        if self.is_made:
+            # A fit may have been about to start.
+            self.viewer.close()
+            self.viewer.join()
 
     def _in_loop(self, call: Callable[[Any], None]) -> Callable[[Any], None]:
         """`call`, to be called from other threads."""
@@ -111,6 +156,11 @@ class Server:
                 self.loop.call_soon_threadsafe(call, value)
 
         return later
+
+    def _tell_stage(self, stage: str) -> None:
+        self.stage = stage
+        for page in self.pages:
+            page.tell(note=f"{stage} …")
 
     def _traced(self, key: Hashable) -> None:
         for page in self.pages:
@@ -154,6 +204,8 @@ class Page(tornado.websocket.WebSocketHandler):
         # The structure whose controls it has.
         self.built = ""
         self.tasks: set[asyncio.Future[None]] = set()
+        if not self.server.drawn:
+            self.tell(note=f"{self.server.stage} …")
         self.woken = asyncio.Event()
         self.pump = asyncio.ensure_future(self._pump())
 
@@ -167,7 +219,7 @@ class Page(tornado.websocket.WebSocketHandler):
 
     def on_close(self) -> None:
         self.server.pages.discard(self)
-        self.server.viewer.tracer.rest(self)
+        self._rest()
         self.pump.cancel()
 
     def tell(self, **parts: Any) -> None:
@@ -177,7 +229,8 @@ class Page(tornado.websocket.WebSocketHandler):
 
     def tell_that_it_takes_long(self) -> None:
         """Says why no picture comes."""
-        self.tell(note="drawing this for the first time, which takes longer")
+        if self.server.drawn:
+            self.tell(note="drawing this for the first time, which takes longer")
 
     def on_message(self, message: str | bytes) -> None:
         try:
@@ -187,20 +240,21 @@ class Page(tornado.websocket.WebSocketHandler):
             return
         if asked.look is not None:
             if self.look is None or _truth_of(asked.look) != _truth_of(self.look):
-                self.server.viewer.tracer.rest(self)
+                self._rest()
             self.look, self.since, self.is_new = asked.look, time.monotonic(), True
             self.server.last = asked.look.state
         if asked.shown is not None and asked.shown == self.in_flight:
             self.in_flight = None
-        if asked.stop:
+        if asked.stop and self.server.is_made:
             self.server.viewer.fit.stop()
-        viewer = self.server.viewer
         if asked.save is not None:
-            self._answer("saved", viewer.save, asked.save)
+            self._answer("saved", lambda viewer, state: viewer.save(state), asked.save)
         if asked.code is not None:
-            self._answer("code", viewer.code, asked.code)
+            self._answer("code", lambda viewer, look: viewer.code(look), asked.code)
+        if asked.picture is not None:
+            self._answer("picture", lambda viewer, look: viewer.png(look), asked.picture)
         if asked.fit is not None:
-            self._answer("started", viewer.start_fit, asked.fit)
+            self._answer("started", lambda viewer, state: viewer.start_fit(state), asked.fit)
         self.woken.set()
 
     def traced(self, key: Hashable) -> None:
@@ -209,18 +263,23 @@ class Page(tornado.websocket.WebSocketHandler):
             self.is_rough = True
             self.woken.set()
 
-    def _answer(self, part: str, work: Callable[[Any], Any], given: Any) -> None:
+    def _rest(self) -> None:
+        """Traces nothing more for this page."""
+        if self.server.is_made:
+            self.server.viewer.tracer.rest(self)
+
+    def _answer(self, part: str, work: Callable[["Viewer", Any], Any], given: Any) -> None:
         async def answer() -> None:
             with self._errors():
-                self.tell(**{part: await self._do(self.server.drawing, work, given)})
+                self.tell(**{part: await self._do(self.server.drawing, lambda: work(self.server.viewer, given))})
 
         # The loop itself keeps only weak references.
         task = asyncio.ensure_future(answer())
         self.tasks.add(task)
         task.add_done_callback(self.tasks.discard)
 
-    async def _do(self, thread: ThreadPoolExecutor, work: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
-        return await self.server.loop.run_in_executor(thread, lambda: work(*arguments, **options))
+    async def _do(self, thread: ThreadPoolExecutor, work: Callable[[], Any]) -> Any:
+        return await self.server.loop.run_in_executor(thread, work)
 
     @contextlib.contextmanager
     def _errors(self) -> Any:
@@ -247,22 +306,28 @@ class Page(tornado.websocket.WebSocketHandler):
 
     async def _draw(self, look: Look, at_rest: bool) -> None:
         is_new, self.is_new, self.is_rough = self.is_new, False, False
-        viewer = self.server.viewer
         slow = self.server.loop.call_later(_LONG, self.tell_that_it_takes_long)
         try:
             built = look.state.model_copy(update={"numbers": {}, "camera": None, "fitted": None}).model_dump_json()
             thread = self.server.drawing if built in self.server.drawn else self.server.compiling
             if built != self.built:
-                controls = await self._do(thread, viewer.controls, look.state)
+                controls = await self._do(thread, lambda: self.server.viewer.controls(look.state))
                 self.built = built
                 self.tell(controls=controls)
-            if is_new and (wrong := await self._do(thread, viewer.misfits, look.state)):
+
+            def draw() -> tuple[list[str], Any]:
+                # One visit of the thread for a picture: each costs a wait.
+                viewer = self.server.viewer
+                return viewer.misfits(look.state) if is_new else [], viewer.show(look, at_rest=at_rest)
+
+            wrong, shown = await self._do(thread, draw)
+            if wrong:
                 self.tell(error="; ".join(wrong))
-            shown = await self._do(thread, viewer.show, look, at_rest=at_rest)
             self.is_rough = not shown.about["is_full"] or self.is_rough
             if shown.about["is_full"]:
                 self.server.drawn.add(built)
-                self.key = await self._do(thread, viewer.trace, look, self)
+                viewer = self.server.viewer
+                self.key = await self._do(thread, lambda: viewer.trace(look, self))
                 # A better reference may have come before its key was known here.
                 known = viewer.tracer.reference(self.key)
                 self.is_rough |= known is not None and known.samples != shown.about["rays"]
@@ -273,17 +338,35 @@ class Page(tornado.websocket.WebSocketHandler):
         head = json.dumps({**shown.about, "number": self.number}).encode()
         with contextlib.suppress(tornado.websocket.WebSocketClosedError):
             await self.write_message(struct.pack(">I", len(head)) + head + shown.jpeg, binary=True)
+        if at_rest:
+            # The threads that draw, compile and trace have heaps of their own. It takes 3 ms.
+            await self._do(thread, give_back_freed_memory)
 
 
-async def serve(config: Config, name: str, port: int, started: Callable[[Server], None]) -> None:
-    """Serves pages until they are ended, or this is cancelled; `started` is called once it listens.
+async def serve(
+    config: Config | Callable[[], Config],
+    name: str,
+    port: int,
+    *,
+    listening: Callable[[Server], None] = lambda server: None,
+    prepared: Callable[[Server], None] = lambda server: None,
+    start: Callable[[], None] = lambda: None,
+) -> None:
+    """Serves pages until they are ended, or this is cancelled.
 
-    **Raises** what `Server` and its `start` raise.
+    **Arguments:**
+
+    - `listening`, `prepared`: called once pages can be opened, and once pictures can be drawn.
+    - `start`: called before JAX is loaded, in another thread.
+
+    **Raises** what `start`, `Server.start` and building the configuration raise.
     """
-    server = Server(config, name)
+    server = Server(config, name, start)
     try:
         server.start(port)
-        started(server)
+        listening(server)
+        await server.prepared()
+        prepared(server)
         await server.ended.wait()
     finally:
         server.stop()

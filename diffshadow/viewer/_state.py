@@ -49,13 +49,13 @@ class Look(_Message):
     """What a page wants to see of its settings.
 
     - `light`: the index of the light that single lights are shown of.
-    - `split`: whether the picture before the changes is shown beside it.
+    - `split`: whether the picture before the changes is shown beside it; or the engine with whose defaults it is shown.
     """
 
     state: State
     view: View = "shaded"
     light: Annotated[int, Field(ge=0, lt=1024)] = 0
-    split: bool = False
+    split: bool | Name = False
 
 
 class Message(_Message):
@@ -63,6 +63,7 @@ class Message(_Message):
 
     - `look`: a picture to draw; `shown`: the number of the picture that the page has shown.
     - `save`, `code`, `fit`: the settings to write as YAML, to convert for engines, or to fit from.
+    - `picture`: what to write as PNG.
     - `stop`: whether to stop the fit.
     """
 
@@ -70,5 +71,6 @@ class Message(_Message):
     shown: int | None = None
     save: State | None = None
     code: Look | None = None
+    picture: Look | None = None
     fit: State | None = None
     stop: bool = False

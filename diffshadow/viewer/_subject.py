@@ -45,6 +45,8 @@ class Subject:
 
     Numbers may change within `ranges`, by key, also where sliders end before that.
 
+    - `box`: the least and the greatest corner of all meshes, in world units. `middle` and `radius`: of the first mesh,
+        which lights that orbit turn around.
     - `config`: with its camera and its lights given by numbers that controls can change.
     - `technique`: whose numbers may have any value that their sliders allow.
     - `laid_out`: the names of the technique's numbers for which its map has to be drawn again.
@@ -57,7 +59,11 @@ class Subject:
     def __init__(self, config: Config, ranges: Mapping[str, tuple[float, float]] | None = None):
         built = build_meshes(config)
         config = _by_numbers(config, built)
-        self.size = float(np.linalg.norm(np.ptp(built.surroundings.points, axis=0)))
+        points, origin = built.surroundings.points, np.asarray(built.surroundings.origin, np.float64)
+        self.size = float(np.linalg.norm(np.ptp(points, axis=0)))
+        self.box = (points.min(axis=0) + origin).tolist(), (points.max(axis=0) + origin).tolist()
+        self.middle = (built.surroundings.middle + origin).tolist()
+        self.radius = built.surroundings.radius
         self.sliders: dict[str, Slider] = sliders_of(config, self.size)
         for key, (low, high) in (ranges or {}).items():
             if key in self.sliders:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from .. import reference, study
 from ..geometry import Scene
 from ..reference import Reference
-from ._fits import reason_of
+from ._reasons import reason_of
 from ._threads import start
 
 # Rays per pixel of the first picture, and by how much each next one has more.

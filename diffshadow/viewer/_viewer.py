@@ -4,6 +4,7 @@ import io
 import json
 import shlex
 import time
+from base64 import b64encode
 from collections.abc import Callable, Hashable
 from typing import Any, NamedTuple
 
@@ -11,16 +12,18 @@ import numpy as np
 from PIL import Image
 from rich.console import Console
 
-from .. import study
+from .. import shadow, study
 from ..config import Config, changed, dump_resolved, parse_config, printable
 from ._drawing_cache import DrawingCache, Frame, Picture, Recent
 from ._fits import Fit
-from ._pictures import figures_of, picture_of, views_of
+from ._pictures import OF_TRUTH, figures_of, picture_of, views_of
 from ._state import Look, State
 from ._subject import Subject, value_at
 from ._trace import Tracer
 
 _QUALITY = 90
+# Pixels of a full picture that are drawn in time while a slider is dragged, also with many taps.
+_FAST_PIXELS = 256 * 256
 _ANGLES = ("azimuth", "elevation")
 
 
@@ -112,14 +115,23 @@ class Viewer:
         return Frame(self.cache, subject, look, size)
 
     def show(self, look: Look, *, at_rest: bool) -> Shown:
-        """A picture of `look`. While it moves, it is of half the size if surface or map are to be drawn."""
-        return self.shown(look, full=at_rest or not self.frame(look, full=True).moves)
+        """A picture of `look`. While it moves, it is of half the size if surface or map are to be drawn, and if it is
+        large. Views of the reference have no other size."""
+        return self.shown(look, full=at_rest or self._is_fast(look))
+
+    def _is_fast(self, look: Look) -> bool:
+        """Whether a full picture of `look` comes fast enough while it moves."""
+        frame = self.frame(look, full=True)
+        if frame.moves:
+            return False
+        of_truth = look.view in OF_TRUTH and self.tracer.reference(frame.truth_key) is not None
+        return of_truth or frame.size[0] * frame.size[1] <= _FAST_PIXELS
 
     def shown(self, look: Look, *, full: bool) -> Shown:
         """A picture of `look` in full or half size."""
         started = time.perf_counter()
         frame = self.frame(look, full=full)
-        known = self.tracer.known(frame.truth_key)
+        known = self.tracer.known(self.frame(look, full=True).truth_key)
         truth = known.reference if full else None
         picture, view = picture_of(frame, look.view, truth), look.view
         if picture is None:
@@ -130,7 +142,7 @@ class Viewer:
             "view": view,
             "is_full": full,
             "figures": {} if truth is None else figures_of(frame, truth),
-            "rays": 0 if truth is None else truth.samples,
+            "rays": 0 if known.reference is None else known.reference.samples,
             "untraced": known.reason,
             "size": frame.size,
             "views": views_of(frame),
@@ -159,6 +171,10 @@ class Viewer:
             "camera": {"eye": camera.eye, "target": camera.target, "height": getattr(camera, "height", None)},
             "up": camera.up,
             "size": subject.size,
+            "engines": [*shadow.ENGINE_TECHNIQUES],
+            "middle": subject.middle,
+            "radius": subject.radius,
+            "box": {"low": subject.box[0], "high": subject.box[1]},
             "resolution": subject.config.scene.camera.resolution,
             "fitted": subject.fitted,
             "fit": self.fit.state,
@@ -173,6 +189,14 @@ class Viewer:
         config = self.subject(state).saved(state)
         command = ["diffshadow", "render", self.name, *overrides_of(settings_of(state, self.config, config))]
         return {"yaml": dump_resolved(config), "name": f"{config.name}-view.yaml", "command": shlex.join(command)}
+
+    def png(self, look: Look) -> str:
+        """The full picture of `look` as PNG, in base64. It is not compared with another."""
+        frame = self.frame(look, full=True)
+        picture = picture_of(frame, look.view, self.tracer.reference(frame.truth_key))
+        out = io.BytesIO()
+        Image.fromarray(frame.shaded() if picture is None else picture).save(out, "PNG")
+        return b64encode(out.getvalue()).decode()
 
     def start_fit(self, state: State) -> int | None:
         """Starts a fit from `state`, unless one is running. **Returns** its number.
@@ -195,8 +219,10 @@ class Viewer:
         return text.file.getvalue()  # type: ignore[attr-defined]
 
     def _before(self, frame: Frame, look: Look, like: Picture) -> Picture:
-        """The same view under the configuration's own technique."""
+        """The same view under the configuration's own technique, or the defaults of an engine."""
         scene = {key: value for key, value in look.state.structure.items() if key.startswith("scene.")}
+        if isinstance(look.split, str):
+            scene["technique"] = {"type": look.split}
         own = self.subject(look.state.model_copy(update={"structure": scene}))
         numbers = {name: value for name, value in look.state.numbers.items() if name.startswith(("scene.", "shading."))}
         state = look.state.model_copy(update={"structure": scene, "numbers": numbers})

@@ -4,13 +4,14 @@
 const $ = (id) => document.getElementById(id);
 const picture = $("picture"), context = picture.getContext("2d");
 const PAUSE = 400; // milliseconds without a change after which an undo step ends
+const SUN_AT = [1.3, 1, 0.7, 0.5]; // radii of the first mesh from its middle: the first that is in the picture
 const TURN = 0.4, KEY_TURN = 4, KEY_ZOOM = 1.08; // degrees a pixel, degrees a key, factor a key
 
 const blank = () => ({ scene: null, structure: {}, numbers: {}, camera: null, fitted: null });
 let look = { state: blank(), view: "shaded", light: 0, split: false };
 let controls = null, images = null;
 const rows = new Map(); // by key: what sets a slider to a value
-const done = []; // undo steps
+const done = [], undone = []; // steps of undo and redo
 let settled = JSON.stringify(look), pause = 0;
 
 // --- Connection ---
@@ -36,6 +37,7 @@ function hear(message) {
   if ("saved" in message) saved(message.saved);
   if (message.started) { ownFit = message.started; fittedOf = structure(); }
   if ("code" in message) copy(message.code, "Copied the code");
+  if ("picture" in message) savePicture(message.picture);
   if ("fit" in message) followFit(message.fit);
 }
 
@@ -49,6 +51,8 @@ async function show(data) {
   send({ shown: about.number });
   fill($("view"), about.views.includes(look.view) ? about.views : [look.view, ...about.views], look.view);
   say("figures", sentence(about));
+  // Those of the picture before, until this one is at rest.
+  $("figures").classList.toggle("old", !about.is_full);
   say("note", `${about.size[1]} × ${about.size[0]} pixels in ${about.milliseconds} ms`);
   document.body.dataset.full = about.is_full; // for tests
   document.body.dataset.number = about.number;
@@ -59,6 +63,8 @@ function paint() {
   if (picture.width !== bitmap.width || picture.height !== tall) { picture.width = bitmap.width; picture.height = tall; }
   context.drawImage(bitmap, 0, 0);
   for (const id of ["divider", "before", "after"]) $(id).hidden = !about.split;
+  say("before", about.split === true ? "before" : `${about.split} defaults`);
+  placeLamp();
   if (!about.split) return;
   const at = Math.round($("divider").value * bitmap.width);
   context.drawImage(bitmap, 0, tall, at, tall, 0, 0, at, tall);
@@ -67,7 +73,8 @@ function paint() {
 }
 
 function sentence({ figures, rays, is_full, view, untraced }) {
-  if (!is_full) return "";
+  // The reference is still that of the figures; those of the new settings follow at rest.
+  if (!is_full) return rays ? $("figures").textContent : "";
   if (untraced) return untraced;
   const waits = view !== look.view ? `; ${look.view} follows` : "";
   if (!rays) return `tracing the reference${waits}`;
@@ -93,7 +100,8 @@ function settle(evenInFit = false) {
   if (now === settled || (isFitting && !evenInFit)) return;
   done.push(settled);
   settled = now;
-  $("undo").disabled = false;
+  undone.length = 0;
+  buttons();
   history.replaceState(null, "", `#${encodeURIComponent(now)}`);
 }
 
@@ -105,25 +113,36 @@ function adopt(text) {
   ask();
 }
 
-function undo() {
+const undo = () => step(done, undone);
+const redo = () => step(undone, done);
+
+// Takes the last of the steps `from`, and keeps the present settings among the steps `to`.
+function step(from, to) {
   clearTimeout(pause);
   settle();
-  if (!done.length) return;
-  adopt(done.pop());
+  if (!from.length) return;
+  to.push(settled);
+  adopt(from.pop());
   history.replaceState(null, "", `#${encodeURIComponent(settled)}`);
+  buttons();
+}
+
+function buttons() {
   $("undo").disabled = !done.length;
+  $("redo").disabled = !undone.length;
 }
 
 // Sets all controls to the state's values.
 function refresh() {
   for (const [key, { set, slider }] of rows) set(look.state.numbers[key] ?? slider.value);
-  $("split").checked = look.split;
+  $("split").value = look.split === true ? OWN : look.split ? `${look.split} defaults` : NOTHING;
   mark();
 }
 
 // Shows which numbers differ from the configuration's, and where the sun is.
 function mark() {
   for (const [key, { row, slider }] of rows) row.classList.toggle("changed", (look.state.numbers[key] ?? slider.value) !== slider.value);
+  placeLamp();
   const [azimuth, elevation] = sunKeys().map((key) => value(key));
   if (azimuth === undefined) return;
   const radius = (90 - elevation) / 90, angle = azimuth * Math.PI / 180;
@@ -135,9 +154,15 @@ const value = (key) => look.state.numbers[key] ?? rows.get(key)?.slider.value;
 
 // --- Controls, made from what the server knows of the configuration ---
 
-const GROUPS = [["scene.light", "Light", true], ["bias", "Bias", true], ["filter", "Filter", true],
-  ["technique", "Technique", true], ["shadow_map", "Shadow map", true], ["compare", "Compare", false],
+// What most people turn, in this order, before all else.
+const TUNED = [/^bias\.(constant|slope|normal_offset)$/, /^technique\.(constant_|slope_|normal_)?bias$/, /^(filter|technique)\.radius$/,
+  /^scene\.lights?\..*(azimuth|elevation)$/, /^scene\.lights?\.(\d+\.)?position\./];
+// Choices that do not fold away.
+const MAIN = /(^technique|^filter|^scene\.lights?(\.\d+)?)\.type$|^shadow_map\.resolution$|^filter\.samples$/;
+const GROUPS = [["technique", "Technique", true], ["filter", "Filter", true], ["shadow_map", "Shadow map", true],
+  ["scene.light", "Light", true], ["bias", "Bias", false], ["compare", "Compare", false],
   ["scene.camera", "Camera", false], ["scene.meshes", "Meshes", false], ["shading", "Shading", false]];
+const NOTHING = "nothing", OWN = "own settings";
 
 function build(given) {
   controls = given;
@@ -150,24 +175,49 @@ function build(given) {
     else delete numbers[key];
   }
   rows.clear();
+  const tuned = TUNED.flatMap((pattern) => given.sliders.filter(({ key }) => pattern.test(key)));
+  $("tune").replaceChildren(...tuned.map((slider) => number(slider, slider.key.startsWith("scene.") ? "scene" : "")));
   const groups = GROUPS.map(([prefix, title, open]) => {
-    const made = document.createElement("details");
-    made.open = open;
-    made.append(element("summary", title));
-    for (const picker of given.pickers) if (picker.key.startsWith(prefix)) made.append(choice(picker, prefix));
-    for (const slider of given.sliders) if (slider.key.startsWith(prefix)) made.append(number(slider, prefix));
-    return made;
+    const own = ({ key }) => key.startsWith(prefix);
+    const [main, others] = [true, false].map((is) => given.pickers.filter((picker) => own(picker) && MAIN.test(picker.key) === is));
+    const sliders = given.sliders.filter((slider) => own(slider) && !tuned.includes(slider));
+    const shown = [...main.map((picker) => choice(picker, prefix)), ...sliders.map((slider) => number(slider, prefix))];
+    const folded = others.map((picker) => choice(picker, prefix));
+    if (!shown.length) return group(title, open, folded);
+    return group(title, open, folded.length ? [...shown, group("more", false, folded, "more")] : shown);
   });
-  $("controls").replaceChildren(...groups.filter((group) => group.children.length > 1));
+  $("controls").replaceChildren(...groups.filter((made) => made.children.length > 1));
+  fill($("split"), [NOTHING, OWN, ...given.engines.map((engine) => `${engine} defaults`)], null);
+  find();
   fill($("light"), given.lights.map((name) => name.replace("scene.", "")), null);
   $("light").selectedIndex = Math.min(look.light, given.lights.length - 1);
   $("light-label").hidden = given.lights.length < 2;
   fill($("scene"), ["own scene", ...given.scenes], look.state.scene ?? "own scene");
   $("scene-label").hidden = !given.scenes.length;
-  $("sky").toggleAttribute("hidden", !sunKeys().length);
+  $("sky-figure").hidden = !sunKeys().length;
   refresh();
   // Its values were taken as they came; the sliders may have moved since.
   showFit(given.fit);
+}
+
+const group = (title, open, parts, className = "") => {
+  const made = element("details", "", { open, className });
+  made.append(element("summary", title), ...parts);
+  return made;
+};
+
+// Shows only the settings whose name or meaning holds the words that are searched for.
+function find() {
+  const words = $("search").value.toLowerCase().split(/[\s._]+/).filter(Boolean);
+  const all = document.querySelectorAll("#tune .number, #controls .number, #controls .choice");
+  for (const row of all) row.classList.toggle("unfound", !words.every((word) => row.dataset.words.includes(word)));
+  for (const made of document.querySelectorAll("#controls details")) {
+    made.classList.toggle("unfound", words.length > 0 && !made.querySelector(".number:not(.unfound), .choice:not(.unfound)"));
+    // Those that were folded away fold again.
+    made.dataset.was ??= made.open;
+    made.open = words.length > 0 || made.dataset.was === "true";
+    if (!words.length) delete made.dataset.was;
+  }
 }
 
 const element = (tag, text, of = {}) => Object.assign(document.createElement(tag), { textContent: text }, of);
@@ -184,7 +234,8 @@ function fill(select, options, chosen) {
 
 function number(slider, prefix) {
   const row = element("div", "", { className: "number", title: slider.hint });
-  const name = element("label", short(slider.key, prefix), { className: "name" });
+  row.dataset.words = `${slider.key} ${slider.hint}`.toLowerCase();
+  const name = element("label", short(slider.key, prefix).replaceAll(/[._]/g, " "), { className: "name" });
   if (slider.unit) name.append(element("span", ` [${slider.unit}]`, { className: "unit" }));
   const range = element("input", "", { type: "range", min: slider.low, max: slider.high, step: "any", value: slider.value });
   const field = element("input", "", { type: "number", min: slider.low, max: slider.high, step: "any", value: slider.value });
@@ -198,15 +249,16 @@ function number(slider, prefix) {
   range.oninput = () => put(Number(Number(range.value).toPrecision(6)));
   field.onchange = () => put(Math.min(Math.max(Number(field.value), slider.low), slider.high));
   again.onclick = () => put(slider.value);
+  const fit = element("label", "", { className: "fit", title: "whether a fit finds it" });
   if (slider.is_fittable || controls.fitted.includes(slider.key)) {
-    const box = element("input", "", { type: "checkbox", checked: fitted().includes(slider.key), title: "whether a fit finds it" });
+    const box = element("input", "", { type: "checkbox", checked: fitted().includes(slider.key) });
     box.setAttribute("aria-label", `Fit ${slider.key}`);
     box.onchange = () => change((state) => {
       state.fitted = box.checked ? [...fitted(), slider.key] : fitted().filter((key) => key !== slider.key);
     });
-    name.prepend(box, " ");
+    fit.append(box, "fit");
   }
-  row.append(name, field, again, range);
+  row.append(name, fit, field, again, range);
   rows.set(slider.key, { set: (to) => { set(to); }, slider, row });
   return row;
 }
@@ -215,6 +267,7 @@ const fitted = () => look.state.fitted ?? controls.fitted;
 
 function choice(picker, prefix) {
   const row = element("label", short(picker.key, prefix).replaceAll("_", " "), { className: "choice", title: picker.hint });
+  row.dataset.words = `${picker.key} ${picker.hint}`.toLowerCase();
   const labels = picker.options.map(([label]) => label);
   const field = labels.length ? element("select", "") : element("input", "", { type: "number", min: picker.low, max: picker.high, value: picker.value });
   if (labels.length) {
@@ -305,6 +358,114 @@ picture.onkeydown = (event) => {
   event.preventDefault();
 };
 
+// The axes of the camera's image, and half its sizes at distance 1 (for a parallel camera, at any).
+function lens() {
+  const { eye, target, height } = look.state.camera ?? controls.camera;
+  const away = unit(add(eye, target, -1)), right = unit(cross(unit(controls.up), away));
+  const half = height ? height / 2 : Math.tan((value("scene.camera.fov_y") ?? 40) * Math.PI / 360);
+  return { eye, target, isParallel: Boolean(height), away, right, up: cross(away, right), tall: half,
+    wide: half * controls.resolution[1] / controls.resolution[0] };
+}
+
+// Turns nothing: moves the camera until the box of all meshes fills the picture.
+function frameAll() {
+  const { low, high } = controls.box, middle = low.map((x, i) => (x + high[i]) / 2);
+  const corners = [0, 1, 2, 3, 4, 5, 6, 7].map((n) => low.map((x, i) => (n >> i & 1 ? high[i] : x) - middle[i]));
+  const { away, right, up, tall, wide } = lens();
+  move((camera) => {
+    const most = (of) => Math.max(...corners.map(of));
+    const distance = most((c) => dot(c, away) + Math.max(Math.abs(dot(c, right)) / wide, Math.abs(dot(c, up)) / tall));
+    if (camera.height) camera.height *= most((c) => Math.max(Math.abs(dot(c, right)) / wide, Math.abs(dot(c, up)) / tall));
+    camera.target = middle;
+    camera.eye = add(middle, away, camera.height ? Math.hypot(...add(camera.eye, camera.target, -1)) : distance);
+    // A far plane of the configuration's own may be too near.
+    const far = rows.get("scene.camera.far"), needed = distance + controls.size / 2;
+    if (far && needed > value("scene.camera.far")) look.state.numbers["scene.camera.far"] = Math.min(needed, far.slider.high);
+  });
+  refresh();
+}
+
+// --- The light in the picture: a lamp at its place, or the direction that the light comes from, near the first mesh ---
+
+let held = null; // while it is dragged: the last event, and how far the handle is from the middle
+
+// Where it is, and by which numbers it moves.
+function lampAt() {
+  const name = controls?.lights[look.light] ?? "", [azimuth, elevation] = sunKeys();
+  const place = [0, 1, 2].map((i) => `${name}.position.${i}`);
+  if (place.every((key) => rows.has(key))) return { keys: place, at: place.map(value) };
+  if (azimuth === undefined) return null;
+  const a = value(azimuth) * Math.PI / 180, e = value(elevation) * Math.PI / 180;
+  const direction = [Math.sin(a) * Math.cos(e), Math.sin(e), Math.cos(a) * Math.cos(e)], [wide, tall] = shownHalf(), by = lens();
+  const handle = (far) => ({ keys: [azimuth, elevation], at: add(controls.middle, direction, far), far, direction });
+  if (held?.far) return handle(held.far);
+  const handles = SUN_AT.map((radii) => handle(controls.radius * radii));
+  const isShown = ({ at }) => { const p = projected(at, by, tall); return p && Math.abs(p[0]) < wide - 15 && Math.abs(p[1]) < tall - 15; };
+  return handles.find(isShown) ?? handles[0];
+}
+
+// A point of the world in pixels of the page, from the middle of the picture; none behind the camera.
+function projected(point, { eye, isParallel, away, right, up, tall }, half) {
+  const from = add(point, eye, -1), depth = isParallel ? 1 : -dot(from, away);
+  return depth > 0 ? [dot(from, right), -dot(from, up)].map((x) => x / depth / tall * half) : null;
+}
+
+// Half the size of the shown picture, in pixels of the page.
+function shownHalf() {
+  const scale = Math.min(picture.clientWidth / picture.width, picture.clientHeight / picture.height);
+  return [picture.width * scale / 2, picture.height * scale / 2];
+}
+
+function placeLamp() {
+  const lamp = images && lampAt(), [wide, tall] = shownHalf();
+  const at = lamp && projected(lamp.at, lens(), tall);
+  $("lamp").hidden = !at || look.view === "shadow map" || look.view === "light's view";
+  if ($("lamp").hidden) return;
+  const [x, y] = [Math.min(Math.max(at[0], 15 - wide), wide - 15), Math.min(Math.max(at[1], 15 - tall), tall - 15)];
+  $("lamp").classList.toggle("outside", x !== at[0] || y !== at[1]);
+  $("lamp").style.left = `${picture.offsetLeft + picture.clientWidth / 2 + x}px`;
+  $("lamp").style.top = `${picture.offsetTop + picture.clientHeight / 2 + y}px`;
+}
+
+// Moves the light so far, in pixels of the page: a lamp with a place stays as far from the image, others turn.
+function moveLamp(dx, dy) {
+  const lamp = lampAt(), by = lens(), [, tall] = shownHalf(), { eye, away, right, up, isParallel } = by;
+  const depth = isParallel ? 1 : -dot(add(lamp.at, eye, -1), away), scale = depth * by.tall / tall;
+  const to = add(add(lamp.at, right, dx * scale), up, -dy * scale), found = {};
+  if (lamp.keys.length === 3) lamp.keys.forEach((key, i) => { found[key] = to[i]; });
+  else {
+    // On the sphere around the mesh: where the line of sight meets it, on the side where the light was.
+    const sight = isParallel ? away.map((x) => -x) : unit(add(to, eye, -1)), from = isParallel ? add(to, away, lamp.far) : eye;
+    const start = add(from, controls.middle, -1), b = dot(start, sight), root = b * b - dot(start, start) + lamp.far ** 2;
+    const meets = root < 0 ? [add(start, sight, -b)] : [-1, 1].map((sign) => add(start, sight, -b + sign * Math.sqrt(root)));
+    const [x, y, z] = meets.map(unit).sort((p, q) => dot(q, lamp.direction) - dot(p, lamp.direction))[0];
+    found[lamp.keys[0]] = Math.atan2(x, z) * 180 / Math.PI;
+    found[lamp.keys[1]] = Math.max(Math.asin(y) * 180 / Math.PI, 1);
+  }
+  for (const key in found) {
+    const { low, high } = rows.get(key).slider;
+    found[key] = Number(Math.min(Math.max(found[key], low), high).toPrecision(6));
+  }
+  change(({ numbers }) => Object.assign(numbers, found));
+  refresh();
+}
+
+$("lamp").onpointerdown = (event) => { $("lamp").setPointerCapture(event.pointerId); held = { event, far: lampAt().far }; };
+$("lamp").onpointerup = $("lamp").onpointercancel = () => { held = null; };
+$("lamp").onpointermove = (event) => {
+  if (!held) return;
+  const [dx, dy] = [event.clientX - held.event.clientX, event.clientY - held.event.clientY];
+  held.event = event;
+  moveLamp(dx, dy);
+};
+$("lamp").onkeydown = (event) => {
+  const step = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
+  if (!step) return;
+  moveLamp(...step.map((x) => 8 * x));
+  event.preventDefault();
+};
+addEventListener("resize", placeLamp);
+
 // --- The sun: its azimuth and elevation, seen from above ---
 
 function sunKeys() {
@@ -317,8 +478,8 @@ $("sky").onpointerdown = (event) => { $("sky").setPointerCapture(event.pointerId
 $("sky").onpointermove = (event) => { if (event.buttons & 1) aim(event); };
 
 function aim(event) {
-  const box = $("sky").getBoundingClientRect(), half = box.width / 2.16;
-  const [x, y] = [(event.clientX - box.left) / half - 1.08, (event.clientY - box.top) / half - 1.08];
+  const box = $("sky").getBoundingClientRect(), half = box.width / 2.6;
+  const [x, y] = [(event.clientX - box.left) / half - 1.3, (event.clientY - box.top) / half - 1.3];
   const [azimuth, elevation] = sunKeys();
   const found = { [azimuth]: Math.atan2(x, y) * 180 / Math.PI, [elevation]: Math.max(90 - 90 * Math.hypot(x, y), 1) };
   for (const key in found) found[key] = Math.round(found[key] * 10) / 10;
@@ -395,6 +556,12 @@ function saved({ yaml, name, command }) {
   say("note", `saved ${name}`);
 }
 
+function savePicture(data) {
+  const link = element("a", "", { href: `data:image/png;base64,${data}`, download: `${controls.name}-view.png` });
+  link.click();
+  say("note", `saved ${link.download}`);
+}
+
 async function copy(text, told) {
   document.body.dataset.copied = text; // for tests, and pages without a clipboard
   try { await navigator.clipboard.writeText(text); say("note", told); } catch { say("note", text); }
@@ -407,13 +574,31 @@ $("command").onclick = () => { saved.wants = "command"; send({ save: look.state 
 $("code").onclick = () => send({ code: look });
 $("share").onclick = () => { settle(true); copy(location.href, "Copied the link"); };
 $("undo").onclick = undo;
+$("redo").onclick = redo;
+$("frame").onclick = frameAll;
+$("png").onclick = () => send({ picture: look });
+$("search").oninput = find;
 $("reset").onclick = () => { change((state) => Object.assign(state, blank(), { scene: state.scene })); settle(); refresh(); };
 $("view").onchange = () => { look.view = $("view").value; change(() => {}); };
 $("light").onchange = () => { look.light = $("light").selectedIndex; change(() => {}); };
 $("scene").onchange = () => change((state) => Object.assign(state, blank(), { scene: $("scene").selectedIndex ? $("scene").value : null }));
-$("split").onchange = () => { look.split = $("split").checked; change(() => {}); };
+$("split").onchange = () => {
+  const chosen = $("split").value;
+  look.split = chosen === NOTHING ? false : chosen === OWN || chosen.replace(/ defaults$/, "");
+  change(() => {});
+};
 $("divider").oninput = paint;
-addEventListener("keydown", (event) => { if ((event.ctrlKey || event.metaKey) && event.key === "z" && event.target.type !== "number") { event.preventDefault(); undo(); } });
+addEventListener("keydown", (event) => {
+  // Fields have an undo of their own.
+  if (["number", "search"].includes(event.target.type)) return;
+  const key = event.key.toLowerCase();
+  if (event.ctrlKey || event.metaKey) {
+    const act = key === "y" || (key === "z" && event.shiftKey) ? redo : key === "z" ? undo : null;
+    if (!act) return;
+    event.preventDefault();
+    act();
+  } else if (key === "f" && event.target.tagName !== "SELECT" && controls) frameAll();
+});
 addEventListener("hashchange", () => { if (location.hash.length > 1 && decodeURIComponent(location.hash.slice(1)) !== settled) adopt(decodeURIComponent(location.hash.slice(1))); });
 
 if (location.hash.length > 1) {

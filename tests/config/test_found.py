@@ -189,3 +189,15 @@ def test_a_camera_and_a_bias_that_are_given_need_no_jax():
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=True)
     assert done.stdout.strip() == "False"
+
+
+def test_without_finding_all_keys_are_checked_and_no_mesh_is_read(tmp_path):
+    (tmp_path / "broken.obj").write_text("v 1 2\n")
+    file = tmp_path / "found.yaml"
+    file.write_text("scene: {meshes: [path: broken.obj], camera: auto, light: auto}\n")
+    settings = load_config(file, ["filter.radius=2.5"], finding=False)
+    assert settings.filter.radius == 2.5
+    with pytest.raises(ConfigError, match=r"filter\.typ: is not a key of filter"):
+        load_config(file, ["filter.typ=pcf"], finding=False)
+    with pytest.raises(ConfigError, match=r"scene\.light\.elevaton"):
+        load_config(file, ["fit.views={grid: {scene.light.elevaton: [30, 60]}}"], finding=False)

@@ -69,7 +69,55 @@ const choose = (page, title, option) => page.locator("details", { has: page.loca
   .locator("label.choice select").first().selectOption(option);
 const seconds = () => Number((performance.now() / 1000).toFixed(2));
 
-const scripts = { person, rest: resting, fit: fitting, look: looking };
+const scripts = { person, rest: resting, fit: fitting, look: looking, tune: tuning };
+
+// What stands first, the search, the light in the picture, redo, everything in the picture, PNG, and an engine beside.
+async function tuning() {
+  const page = await opened();
+  let number = await rest(page, 0);
+  seen.first = await page.locator("#tune input[type=number]").evaluateAll((all) => all.map(({ id }) => id.replace("field-", "")));
+  seen.folded = await page.locator("details:not([open]) .choice").evaluateAll((all) => all.map(({ dataset }) => dataset.words.split(" ")[0]));
+  await page.fill("#search", "slope profile");
+  seen.found = await page.locator(".number:visible, .choice:visible").allTextContents();
+  await page.fill("#search", "");
+  seen.openAfter = await page.isVisible("text=slope profile");
+  const angles = async () => [await value(page, "scene.light.azimuth"), await value(page, "scene.light.elevation")];
+  const lamp = () => page.locator("#lamp").boundingBox();
+  seen.angles = [await angles()];
+  const before = await lamp();
+  const [x, y] = [before.x + 15, before.y + 15];
+  await page.mouse.move(x, y);
+  await page.mouse.down();
+  await page.mouse.move(x + 30, y + 40, { steps: 5 });
+  await page.mouse.up();
+  const after = await lamp();
+  seen.moved = [after.x - before.x, after.y - before.y];
+  number = await rest(page, number);
+  seen.angles.push(await angles());
+  await page.click("#undo");
+  seen.angles.push(await angles());
+  await page.locator("body").press("Control+Shift+Z");
+  seen.angles.push(await angles());
+  await page.focus("#lamp");
+  await page.keyboard.press("ArrowLeft");
+  seen.angles.push(await angles());
+  // Away from the scene, and back with one key.
+  await page.focus("#picture");
+  for (let i = 0; i < 12; i += 1) await page.keyboard.press("-");
+  await page.waitForTimeout(600);
+  number = await rest(page, number);
+  seen.far = await pixels(page);
+  await page.keyboard.press("f");
+  await page.waitForTimeout(600);
+  number = await rest(page, number);
+  seen.framed = await pixels(page);
+  const [download] = await Promise.all([page.waitForEvent("download"), page.click("#png")]);
+  seen.png = [download.suggestedFilename(), readFileSync(await download.path()).subarray(0, 24).toString("hex")];
+  await page.selectOption("#split", "three.js defaults");
+  number = await rest(page, number);
+  seen.beside = [await text(page, "before"), await page.isVisible("#divider")];
+  seen.error = await text(page, "error");
+}
 
 // To the last ray; then nothing more. A bias keeps the reference.
 async function resting() {

@@ -99,8 +99,8 @@ def test_all_rays_come_at_rest_and_nothing_is_done_afterwards(browser, start):
     assert spent[0] < 0.2
     # Some 7 s on two idle cores.
     assert seen["seconds"] < SECONDS
-    # A bias keeps the reference: one picture a key.
-    assert 1 <= len(seen["biased"]) <= 3
+    # A bias keeps the reference: one small picture a key, and a full one at rest.
+    assert 1 <= len(seen["biased"]) <= 4
     assert all("against 64 rays" in each for each in seen["biased"])
     assert len({each.split(" ")[1] for each in [seen["figures"][-1], seen["biased"][-1]]}) == 2
     seen = driven(browser, "fit", address)
@@ -114,6 +114,31 @@ def test_all_rays_come_at_rest_and_nothing_is_done_afterwards(browser, start):
     assert seen["stopped"] < SECONDS / 6
     assert seen["otherNote"].startswith("stopped")
     assert seen["undone"] != 3
+    assert seen["error"] == ""
+
+
+def test_what_one_turns_stands_first_and_the_light_is_dragged_in_the_picture(browser, start, tmp_path):
+    (tmp_path / "tiny.yaml").write_text(LARGER)
+    seen = driven(browser, "tune", start("tiny.yaml")[1])
+    lamp = ["scene.light.azimuth", "scene.light.elevation"]
+    assert seen["first"] == ["bias.constant", "bias.slope", "bias.normal_offset", "filter.radius", *lamp]
+    assert {"bias.slope_profile", "bias.unit", "bias.normal_offset_profile", "bias.plane.type"} <= {*seen["folded"]}
+    assert not {"filter.type", "technique.type", "shadow_map.resolution", "filter.samples"} & {*seen["folded"]}
+    assert len(seen["found"]) == 1
+    assert seen["found"][0].startswith("slope profile")
+    assert not seen["openAfter"]
+    started, dragged, undone, redone, keyed = seen["angles"]
+    assert started == undone == [-60, 50]
+    assert dragged == redone
+    assert keyed != redone
+    # The handle stays under the pointer.
+    assert seen["moved"] == pytest.approx([30, 40], abs=2)
+    assert dragged[1] < 50
+    assert seen["framed"]["mean"] < seen["far"]["mean"] - 2
+    name, head = seen["png"]
+    assert name == "tiny-view.png"
+    assert head == "89504e470d0a1a0a0000000d49484452" + "0000009000000060"
+    assert seen["beside"] == ["three.js defaults", True]
     assert seen["error"] == ""
 
 

@@ -18,9 +18,9 @@ from tornado.websocket import websocket_connect
 from viewed import TINY
 
 import diffshadow
-from diffshadow.config import build_scene, parse_config
-from diffshadow.viewer import _trace
-from diffshadow.viewer._server import Server
+from diffshadow.config import ConfigError, build_scene, parse_config
+from diffshadow.viewer import _server, _trace
+from diffshadow.viewer._server import Server, serve
 from diffshadow.viewer._viewer import Viewer
 
 SECONDS = 60
@@ -109,6 +109,80 @@ def test_each_picture_waits_for_the_one_before_to_be_shown_and_is_of_the_newest_
     talking(script)
 
 
+def test_a_page_can_be_opened_before_anything_is_computed_and_says_what_it_waits_for():
+    gate = threading.Event()
+
+    async def run():
+        server = Server(lambda: parse_config(TINY), "tiny.yaml", lambda: gate.wait(SECONDS) or None)
+        server.start(0)
+        page = Talk(await websocket_connect(server.address.replace("http", "ws") + "socket"))
+        await page.send(look=look(), stop=True)
+        await page.send(save={})
+        notes = [await page.hear("note")]
+        assert not server.is_made
+        gate.set()
+        notes += [await page.hear("note"), await page.hear("note")]
+        assert [note.split()[0] for note in notes] == ["loading", "reading", "drawing"]
+        assert "bias" in (await page.hear("saved"))["yaml"]
+        await page.send(look=look())
+        await page.hear("about")
+        await server.prepared()
+        page.socket.close()
+        await until_closed(page)
+        server.stop()
+        await asyncio.sleep(0.05)
+
+    asyncio.run(run())
+
+
+def test_what_cannot_be_built_is_said_on_pages_and_by_the_command():
+    gate, said = threading.Event(), []
+
+    def broken():
+        gate.wait(SECONDS)
+        return parse_config("scene: {meshes: [path: builtin:bax]}")
+
+    async def read(server):
+        page = Talk(await websocket_connect(server.address.replace("http", "ws") + "socket"))
+        gate.set()
+        said.append(await page.hear("error"))
+        assert await until_closed(page)
+        page.socket.close()
+
+    async def run():
+        reading = []
+        listening = lambda server: reading.append(asyncio.ensure_future(read(server)))
+        with pytest.raises(ConfigError, match="did you mean 'builtin:box'"):
+            await serve(broken, "broken.yaml", 0, listening=listening)
+        await reading[0]
+        await asyncio.sleep(0.05)
+
+    asyncio.run(run())
+    assert said[0].startswith("scene.meshes.0.path: ")
+
+
+def test_the_command_prints_the_address_before_jax_is_loaded(tmp_path):
+    (tmp_path / "tiny.yaml").write_text(TINY)
+    program = """
+import os, sys, time
+from diffshadow.cli import _pages, main
+def start():
+    time.sleep(0.5)
+    loaded = {"jax", "trimesh", "PIL", "matplotlib", "numpy"} & set(sys.modules)
+    print(sorted(loaded), flush=True)
+    os._exit(0)
+_pages.start_jax = start
+main(["view", "tiny.yaml", "--no-browser"])
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, timeout=SECONDS
+    )
+    assert done.stderr == ""
+    address, how, loaded = done.stdout.splitlines()
+    assert address.startswith("http://127.0.0.1:")
+    assert (how, loaded) == ("Ctrl-C ends it", "[]")
+
+
 def test_two_pages_have_settings_of_their_own_and_a_page_that_leaves_disturbs_none():
     async def script(server, opened):
         one, other = await opened(), await opened()
@@ -145,6 +219,24 @@ def test_no_page_waits_for_what_another_has_to_compile(monkeypatch):
         assert (await one.hear("about"))["number"] == full["number"] + 1
         compiled.set()
         await other.hear("about")
+
+    talking(script)
+
+
+def test_freed_memory_is_given_back_at_rest_and_not_while_a_slider_is_dragged(monkeypatch):
+    given = []
+    monkeypatch.setattr(_server, "give_back_freed_memory", lambda: given.append(threading.current_thread().name))
+
+    async def script(server, opened):
+        page = await opened()
+        await page.send(look=look(**{"scene.light.azimuth": 41.0}))
+        about = await page.hear("about")
+        assert not about["is_full"]
+        assert given == []
+        await page.send(shown=about["number"])
+        assert (await page.hear("about"))["is_full"]
+        assert await page.is_silent(0.1)
+        assert [name.partition("_")[0] for name in given] == ["compiling"]
 
     talking(script)
 
@@ -210,7 +302,7 @@ WRONG = [
     ('{"look": {"state": {"numbers": {"bias.constant": 1e999}}}}', "look.state.numbers.bias.constant"),
     ('{"steal": 1}', "steal"),
     ("[]", "the message"),
-    ("{}", "the message is empty; expected an object with one of look, shown, save, code, fit, stop"),
+    ("{}", "the message is empty; expected an object with one of look, shown, save, code, picture, fit, stop"),
     ("x" * (1 << 20), "the message has 1,048,576 characters; expected at most 262,144; send less"),
     ('{"stop": "maybe"}', "stop: Input should be a valid boolean"),
     ('{"shown": 1.5}', "is 1.5"),

@@ -1,6 +1,7 @@
 """What a page of `diffshadow view` shows: drawn in stages, from the settings as a render draws them."""
 
 import dataclasses
+import gc
 import threading
 import time
 
@@ -13,7 +14,8 @@ from viewed import TINY
 
 from diffshadow.config import ConfigError, fit_paths, parse_config
 from diffshadow.study import read_run, run_fit, run_render
-from diffshadow.viewer import _trace
+from diffshadow.viewer import _trace, _viewer
+from diffshadow.viewer._drawing_cache import Recent
 from diffshadow.viewer._pictures import figures_of, picture_of, views_of
 from diffshadow.viewer._state import Camera, Look, State
 from diffshadow.viewer._viewer import Viewer, overrides_of, settings_of
@@ -64,6 +66,39 @@ def test_only_what_depends_on_a_change_is_drawn_again(viewer):
         **dict.fromkeys(("meshes", "surface", "state"), 0),
         "visibility": 1,
     }
+
+
+def test_many_changes_keep_no_more_than_a_few(viewer):
+    kept = []
+    for i in range(16):
+        numbers = {"bias.constant": 0.125 * i, "scene.light.azimuth": 1.5 * i, "scene.meshes.0.translate.0": 0.002 * i}
+        camera = Camera(eye=(2.0 + 0.01 * i, 2.5, 3.0), target=(0.0, 0.4, 0.0))
+        each = look(numbers=numbers, camera=camera)
+        for at_rest in (False, True):
+            viewer.show(each, at_rest=at_rest)
+        if i >= 10:
+            gc.collect()
+            kept.append(len(jax.live_arrays()))
+    assert kept[-1] <= kept[0] + 10, "one change makes more"
+    caches = [each for each in vars(viewer.cache).values() if isinstance(each, Recent)]
+    assert len(caches) == 9
+    assert all(len(each._kept) <= each.most <= 8 for each in caches)
+
+
+def test_a_large_picture_in_motion_is_of_half_the_size_and_keeps_its_reference(viewer, monkeypatch):
+    seen = look(numbers={"scene.light.azimuth": 17.0})
+    truth = traced(viewer, seen, 16)
+    monkeypatch.setattr(_viewer, "_FAST_PIXELS", 32 * 48 - 1)
+    viewer.show(seen, at_rest=True)
+    biased = look(numbers={"scene.light.azimuth": 17.0, "bias.constant": 2.375})
+    moving, still = (viewer.show(biased, at_rest=at_rest).about for at_rest in (False, True))
+    assert (moving["size"], moving["rays"], moving["figures"]) == ((16, 24), truth.samples, {})
+    assert (still["size"], still["rays"]) == ((32, 48), 16)
+    assert still["figures"]["rmse"] > 0
+    # An error has no other size, and is shown as it changes.
+    error = look("error", numbers={"scene.light.azimuth": 17.0, "bias.constant": 2.625})
+    shown = viewer.show(error, at_rest=False).about
+    assert (shown["view"], shown["size"]) == ("error", (32, 48))
 
 
 def test_a_picture_in_motion_is_of_half_the_size_only_if_surface_or_map_are_drawn(viewer):

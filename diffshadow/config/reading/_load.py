@@ -3,6 +3,7 @@
 import os
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from statistics import median
 from typing import Any
 
@@ -21,7 +22,12 @@ from ._views import views_of
 
 
 def load_config(
-    path: str | os.PathLike[str], overrides: Sequence[str] = (), *, fitting: bool = False, files: bool = True
+    path: str | os.PathLike[str],
+    overrides: Sequence[str] = (),
+    *,
+    fitting: bool = False,
+    files: bool = True,
+    finding: bool = True,
 ) -> Config:
     """Loads the configuration in the YAML file `path`, with `overrides` applied.
 
@@ -33,12 +39,14 @@ def load_config(
     - `fitting`: whether to check the section `fit` against the other sections. Needed for a fit, not for a render.
     - `files`: whether input files must exist, and the modules of users' classes. A report on a finished run needs only
         the settings.
+    - `finding`: whether to find what the configuration leaves out: a camera, a light, a ground, or a bias. That loads
+        the meshes. Without it, all is checked, but the configuration is not complete.
 
     **Returns:** the configuration, with all paths absolute except `output`.
 
     **Raises** `ConfigError` with everything that is wrong with the file and the overrides.
     """
-    return _single(checked(load_draft(path, overrides), fitting=fitting, files=files))
+    return _single(checked(load_draft(path, overrides), fitting=fitting, files=files, finding=finding))
 
 
 def parse_config(
@@ -74,12 +82,12 @@ def parse_config(
     return _single(checked(draft, fitting=fitting, files=files))
 
 
-def checked(draft: Draft, *, fitting: bool = False, files: bool = True) -> Config:
+def checked(draft: Draft, *, fitting: bool = False, files: bool = True, finding: bool = True) -> Config:
     """Checks `draft` and makes its configuration. Paths in `draft.data` become absolute.
 
     **Arguments:**
 
-    - `fitting`, `files`: as in `load_config`.
+    - `fitting`, `files`, `finding`: as in `load_config`.
 
     **Raises** `ConfigError` with everything that is wrong.
     """
@@ -98,10 +106,12 @@ def checked(draft: Draft, *, fitting: bool = False, files: bool = True) -> Confi
     if mistakes:
         raise ConfigError(mistakes)
     if files:
-        if any(asked[:3]):
+        if finding and any(asked[:3]):
             config, data = _with_found(config, data, complete, asked)
-        config, data = _with_bias_for(config, data)
-        config._views, config._validation = views_of(config, draft._replace(data=data), checked)
+        if finding:
+            config, data = _with_bias_for(config, data)
+        check = partial(checked, finding=finding)
+        config._views, config._validation = views_of(config, draft._replace(data=data), check)
     return config
 
 
