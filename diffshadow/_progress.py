@@ -22,9 +22,9 @@ def showing(name: str, *, unless: bool = False) -> Iterator[Update | None]:
 
     **Arguments:**
 
-    - `unless`: whether the caller is told otherwise, so that nothing is shown.
+    - `unless`: whether the caller learns the state in another way, so that nothing is shown.
 
-    **Yields** what to call with the state of the work; none if nothing is shown.
+    **Yields** a function to call with the state of the work; none if nothing is shown.
     """
     if unless or not _installed:
         yield None

@@ -20,7 +20,7 @@ _FALLS = 1e-3
 class AtBound(NamedTuple):
     """A value that ended on a bound.
 
-    - `name`: of the parameter; `side`: of its bounds; `value`: of the bound.
+    - `name`: name of the parameter; `side`: which of its bounds; `value`: value of the bound.
     - `falls`: whether the error under the hard compare still falls there, so that wider bounds may lower it.
     """
 

@@ -43,12 +43,12 @@ class FitResult:
         was best. If losses differ by less than the solver's `noise`, the last phase is chosen.
     - `history`: every evaluation, in order.
     - `flat`: names of the parameters that were not fitted: they kept their start, where the loss has no slope.
-    - `seconds_compiling`, `seconds_running`: of the whole fit.
+    - `seconds_compiling`, `seconds_running`: times of the whole fit.
     - `arrangement`: the fitted technique, lights and meshes, where lights or meshes were fitted.
     - `precision`: how well the values are determined; `None` if the start was best, or for a loss of your own.
     - `starts`: how each of several starts went; `phases` and `initial` belong to the best.
     - `enlargements`: how often a phase was repeated with memory for more silhouettes.
-    - `profiles`: of the parameters, around the best values, if intervals were asked for.
+    - `profiles`: the parameters' error profiles around the best values, if intervals were requested.
     - `best`: the values of the least error, by name. They differ from `fitted` only if `Sureness.prefer` is given.
     - `front`: the front of false shadow against false light, if asked for.
     - `at_bounds`: the fitted values that ended on a bound, and whether the error still falls there.
@@ -137,13 +137,13 @@ def fit(
     - `solver`: a `Solver`, or any least-squares solver or minimiser of optimistix, such as `optimistix.BFGS(1e-4,
         1e-6)`. `Solver(method=...)` gives the latter another number of steps.
     - `anneal`: how the compare hardens. A fit of poses anneals in its last phases if it also fits a bias.
-    - `loss`: of the errors of several problems; by default the mean over all pixels. Or a function of three images (h,
-        w), predicted, reference and mask (whether each pixel counts), that returns an array of residuals, whose squares
-        are summed, or a number, 0 or more. It is called once for each image, and the loss is the mean over all images.
-        Where no pixel counts, the predicted image is the reference. Both images are blurred in the phases of a fit of
-        poses. A number needs a minimiser: `Solver("bfgs")`, which is then the default, `"lbfgs"`, `"adam"`, or one of
-        optimistix. An `equinox.Module` may hold arrays; those in a plain function's closure become constants of its
-        compiled program.
+    - `loss`: a loss of the errors of several problems; by default the mean over all pixels. Or a function of three
+        images (h, w), predicted, reference and mask (whether each pixel counts), that returns an array of residuals,
+        whose squares are summed, or a number, 0 or more. It is called once for each image, and the loss is the mean
+        over all images. Where no pixel counts, the predicted image is the reference. Both images are blurred in the
+        phases of a fit of poses. A number needs a minimiser: `Solver("bfgs")`, which is then the default, `"lbfgs"`,
+        `"adam"`, or one of optimistix. An `equinox.Module` may hold arrays; those in a plain function's closure become
+        constants of its compiled program.
     - `search`, `sureness`: where the fit searches, and which intervals and fronts around the best values it computes.
     - `on_step`: called with every evaluation of the loss, while the fit runs; also with evaluations of a phase that is
         then repeated with memory for more silhouettes. An error in `on_step` ends the fit, and `fit` raises this error.

@@ -33,7 +33,7 @@ Sides = tuple[float, float]
 class FrontPoint(NamedTuple):
     """A Pareto-optimal setting: no other setting that was found has both less false shadow and less false light.
 
-    - `values`: of the parameters, (p,).
+    - `values`: values of the parameters, (p,).
     - `false_shadow`, `false_light`: square roots of the losses of the pixels that are too dark, and of the pixels that
         are too light. For a mean over the pixels, the sum of their squares is the loss.
     - `ratio`: the weight of false shadow divided by the weight of false light. This setting has the least weighted sum

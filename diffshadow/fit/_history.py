@@ -20,8 +20,9 @@ from ._parameters import Parameters
 class Step(NamedTuple):
     """One evaluation of the loss during a fit.
 
-    - `phase`: from 0; `step`: within the phase, from 0; `width`: of the soft compare, in texels, 0 for the hard one.
-    - `loss`: the mean square error under that compare, or a user's loss; `values`: of the parameters there.
+    - `phase`: number of the phase, from 0; `step`: number of the step within the phase, from 0; `width`: width of the
+        soft compare, in texels; 0 for the hard compare.
+    - `loss`: the mean square error under that compare, or a user's loss; `values`: the parameters' values there.
     - `start`: the number of the start that the fit is at, from 0.
     """
 
@@ -129,7 +130,7 @@ class Reporter:
         **Arguments:**
 
         - `free`: (p,), the free values of all parameters; `active`: the indices of parameters that the phase changes.
-        - `scale`: of the residuals that the solver sees.
+        - `scale`: scale of the residuals that the solver sees.
         """
         self.phase, self.width, self.step, self.scale = phase, width, 0, scale
         self.free, self.active = np.array(free), active

@@ -18,7 +18,7 @@ class Search:
 
     - `starts`: how many starts are tried: the initial values, and a Sobol sequence over the bounds. The start that is
         best after the first blurs, under the hard compare, continues.
-    - `seed`: of the starts.
+    - `seed`: seed of the starts.
     - `blurs`: for a fit of poses, the falling standard deviations in pixels of the Gaussian under which images are
         compared. Phases before the last move poses only; a phase under the best blur for the map's texels follows. If
         left out, widths fall from an eighth of the images' shorter side to 3, each about a third of the previous width.

@@ -108,7 +108,8 @@ class Loss(CheckedModule):
         with cₖ = (p - 1) wₖ Eₖ for the mean of power p, and cₖ = p sₖ σ'(zₖ) Eₖ² / (α t) for the worst fraction α,
         where σ is the logistic function and zₖ = p (Eₖ / t - 1).
 
-        **Arguments:** `gradients`: (v, p), of the errors. **Returns:** (v, p), or `None` if there is no such term.
+        **Arguments:** `gradients`: (v, p), gradients of the errors. **Returns:** (v, p), or `None` if there is no such
+        term.
         """
         if self.power is None:
             return None

@@ -22,7 +22,7 @@ class Parameter(eqx.Module):
 
     - `name`: for results and messages.
     - `initial`, `lower`, `upper`: its start and its bounds.
-    - `unit`: of all three, for reports.
+    - `unit`: unit of all three, for reports.
     - `path`: dotted path to the number, such as `"filter.radius"`; by default the parameter's name. A path may stop at
         a module that holds one number: `"bias.constant"` means `"bias.constant.value"`.
     - `offset`: the origin's coordinate, for a coordinate in a scene that has an origin. The number at `path` is the

@@ -46,7 +46,7 @@ class Phase(NamedTuple):
 
     - `joint`: the problems at its resolution and with its compare.
     - `active`: the indices of the parameters that it changes.
-    - `width`: of its soft compare in texels; 0 for the hard one.
+    - `width`: width of its soft compare in texels; 0 for the hard compare.
     - `shared`: whether all of several starts run it, or only the best of them.
     - `stop`: where its solver ends, besides its tolerances.
     - `searched`: the part of the bounds that it searches, about the values so far; 0 for a phase by gradient.

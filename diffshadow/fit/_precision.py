@@ -79,9 +79,9 @@ def on_grids(
 
     **Arguments:**
 
-    - `joint`: of the phase, with the values at its end.
+    - `joint`: the joint problem of the phase, with the values at its end.
     - `own`: its differences with the texels in their places, with the loss's weights.
-    - `roots`: (v,), of these weights.
+    - `roots`: (v,), roots of these weights.
     """
     grids = [_each_image(own)]
     for shift in _SHIFTS if joint.moves else ():

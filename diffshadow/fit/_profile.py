@@ -29,7 +29,7 @@ Bound = Literal["lower", "upper"]
 class End(NamedTuple):
     """An end of an interval.
 
-    - `value`: of the parameter.
+    - `value`: value of the parameter.
     - `error`: the root of the loss there, with the other parameters fitted again.
     - `is_bound`: whether the error stays within the limit up to the parameter's bound.
     """

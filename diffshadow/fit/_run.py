@@ -45,11 +45,11 @@ Values = tuple[float, ...]
 class Outcome(NamedTuple):
     """How a phase ended.
 
-    - `width`: of its soft compare, in texels; 0 for the hard one.
+    - `width`: width of its soft compare, in texels; 0 for the hard compare.
     - `steps`: number of solver steps.
     - `result`: `"successful"`, `"max_steps reached"`, or the solver's error.
-    - `gradient_norm`: of the soft mean square error with respect to the parameters over their bounds' distance; 0 for a
-        search.
+    - `gradient_norm`: norm of the gradient of the soft mean square error with respect to the parameters over their
+        bounds' distance; 0 for a search.
     - `hard_loss`: the mean square error under the hard compare at the phase's end, of whole differences; `values`: the
         parameters there.
     - `blur`: the standard deviation, in pixels, of the Gaussian under which images were compared; 0 where nothing
@@ -83,7 +83,7 @@ class Start(NamedTuple):
 class Trajectory(NamedTuple):
     """The course of one start: free values, values and the judge's losses at the start and after each phase.
 
-    `ends` holds the phases so far and their solutions, none for a search.
+    `ends` are the phases so far and their solutions; a search has no solution.
     """
 
     free: list[Float[Array, " p"]]
@@ -108,7 +108,7 @@ class Run:
     - `given`: what is fitted. All values in a run are counted from its offsets.
     - `judge`: sees the start and the end of every phase, and the best of these is the result.
     - `phases`: whose memory for silhouettes may grow.
-    - `evaluations`: of the error in a search, for each parameter.
+    - `evaluations`: how often a search evaluates the error, for each parameter.
     - `history`: every evaluation so far, in order.
     - `update`: called with what the fit is at, and the fraction done.
     """
@@ -288,8 +288,8 @@ class Run:
             return np.inf
 
     def sides(self, values: Values) -> tuple[float, float]:
-        """The roots of the judge's losses at `values`: of false shadow, and of false light. They are infinite for a
-        layout that does not suit the scene."""
+        """The roots of the judge's two losses at `values`: false shadow and false light. They are infinite for a layout
+        that does not suit the scene."""
         try:
             dark, light = self.judge.sides(as_float(values))
         except ValueError:

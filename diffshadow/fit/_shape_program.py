@@ -65,7 +65,7 @@ class ShapeProgram:
         ]
 
     def found_sights(self) -> list[Sight]:
-        """What each view's light sees of its screen.
+        """The part of each view's screen that the view's light sees.
 
         **Raises** `ValueError` for a light that reaches no pixel.
         """
@@ -87,7 +87,7 @@ class ShapeProgram:
         lights: Float[HostArray, " l"],
         crossings: int,
     ) -> list[Float[HostArray, "h w"]]:
-        """The visibility that each view has of a mesh."""
+        """The mesh's visibility image in each view."""
         level = self.level(vertices, faces, np.ones(len(vertices), bool))
         return self.images(self.evaluate(level, vertices, lights, 0.0, crossings)[0])
 

@@ -54,9 +54,11 @@ class ShapeState(NamedTuple):
     """The state of a fit before a step: everything that it needs to continue, on a CPU to the same bits. Arrays never
     change.
 
-    - `phase`, `step`: of the next step, from 0; `crossings`: the number of crossings for which there is memory.
-    - `vertices`, `faces`, `free`: of the mesh at the start of the phase; `u`, `mean`, `square`: of Adam, (n, 3).
-    - `best_vertices`, `best_faces`: of the best end of a phase so far, or of the start.
+    - `phase`, `step`: phase and number of the next step, from 0; `crossings`: the number of crossings for which there
+        is memory.
+    - `vertices`, `faces`, `free`: the mesh at the start of the phase, and its free vertices; `u`, `mean`, `square`:
+        Adam's state, (n, 3).
+    - `best_vertices`, `best_faces`: the mesh at the end of the best phase so far, or at the start.
     - `lights`, `light_mean`, `light_square`: the numbers of all lights' poses, and of Adam; empty if no light moves.
         `best_lights`: the poses at the best end of a phase.
     - `losses`: under the judge, of the start and of the ends of phases; `history`: (s, 2), phase and loss of each step.
@@ -87,7 +89,7 @@ class ShapeStep(NamedTuple):
     - `phase`, `step`: from 0; `loss`: the mean square error before the step, under the phase's blur.
     - `images`: (h, w) of each view, its visibility before the step.
     - `state`: the state after the step, from which the fit can continue.
-    - `vertices`, `faces`: of the mesh before the step.
+    - `vertices`, `faces`: the mesh before the step.
     """
 
     phase: int

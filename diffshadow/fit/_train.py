@@ -33,7 +33,7 @@ _INSET = 1e-3
 class TrainingPhase(NamedTuple):
     """How a phase of a training ended.
 
-    - `width`: of its soft compare, in texels; `steps`: of the solver.
+    - `width`: width of its soft compare, in texels; `steps`: steps of the solver.
     - `loss`: the mean square error under that compare; `hard_loss`: under the hard one.
     """
 

@@ -175,7 +175,7 @@ def frame_outside(
     **Arguments:**
 
     - `points`: all corners of the casters; `samples`: points on their surfaces.
-    - `height`: of the ground; `ground`: where it is, if the scene has one: shadows beyond it do not show.
+    - `height`: height of the ground; `ground`: where it is, if the scene has one: shadows beyond it do not show.
     """
     on_ground = lambda points: (
         shadow_of(points, light, height)

@@ -41,8 +41,8 @@ _PAIRS = 1 << 21
 class Ground(NamedTuple):
     """A ground: its height, its least and greatest x and z, and which faces belong to it (f,).
 
-    `relief`: of a height field, its heights in cells of equal size between `low` and `high`, as [x, z]; its `height` is
-    their mean.
+    `relief`: for a height field, the heights in cells of equal size between `low` and `high`, as [x, z]; its `height`
+    is their mean.
     """
 
     height: float
@@ -149,7 +149,7 @@ def has_floor(corners: Corners) -> bool:
 def up_of(corners: Corners, is_y_up_format: bool) -> Literal["y", "z"]:
     """Which axis is up: y unless the scene lies flat across z.
 
-    A ground across z, and none across y, is always taken as a sign. A flat foot of an object is one only in formats
+    If there is a ground across z and none across y, z is up. A flat foot of an object counts as a sign only in formats
     that do not say which axis is up.
     """
     turned = y_up(corners)

@@ -50,7 +50,7 @@ class Mesh(eqx.Module):
         side. Defaults to the face normals.
     - `albedo`: (f, 3), diffuse colour in [0, 1]. Defaults to light grey; to white with `corner_colours` or `textures`.
     - `corner_colours`: (f, 3, 3), a colour in [0, 1] for each corner of each face; or `None`.
-    - `textures`: of the faces; or `None`.
+    - `textures`: textures of the faces; or `None`.
 
     The diffuse colour of a point is the product of `albedo`, the interpolated colour of the corners, and the texture's
     colour.
@@ -193,8 +193,8 @@ class Mesh(eqx.Module):
         return as_html(f"Mesh: {counted(len(faces), 'triangle')}, {len(seen):,} vertices, {size} world units", image)
 
     def padded(self, to: tuple[int, int] | None = None) -> "Mesh":
-        """The mesh with added faces that are points and so invisible. Its arrays then have one of a few sizes, so that
-        meshes of similar size share compiled programs. A traced mesh stays as it is.
+        """The mesh with extra faces. They are points, so that they are invisible. Its arrays then have one of a few
+        sizes, so that meshes of similar size share compiled programs. A traced mesh stays as it is.
 
         **Arguments:** `to`: the numbers of faces and vertices after padding; by default the next of a few sizes.
         """

@@ -25,7 +25,7 @@ _ROUNDING = 2**-10
 class _Chosen(NamedTuple):
     """What is read of a file: the number of a part, and the names of its channels.
 
-    - `alpha`: of the alpha channel of their layer.
+    - `alpha`: the alpha channel of their layer.
     """
 
     part: int

@@ -44,7 +44,7 @@ class BaseColour(NamedTuple):
 
     - `factor`: (3,), linear; none without a material.
     - `texture`: with its alpha test, or none; `uv`: (v, 2), texture coordinates of its vertices, or none.
-    - `colours`: (v, 3), linear colours of its vertices, and `alpha`: (v,), of these; or none.
+    - `colours`: (v, 3), linear colours of its vertices, and `alpha`: (v,), their alpha; or none.
     - `is_cut_out`: whether the alpha test leaves nothing of it.
     """
 

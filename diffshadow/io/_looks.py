@@ -76,7 +76,7 @@ class Looks(NamedTuple):
     """How the polygons of a file look.
 
     - `colours`: (v, 3), linear colours of the vertices; none if the file has none.
-    - `alpha`: (v,), of the vertices, which an alpha test multiplies by the textures'; none likewise.
+    - `alpha`: (v,), the vertices' alpha, which an alpha test multiplies by the textures' alpha; none likewise.
     - `uv`: (v, 2), texture coordinates of the vertices, (0, 0) at an image's lower left corner; none likewise.
     - `factor`: (f, 3), the diffuse colour of each polygon.
     - `texture`: (f,), the number of each polygon's texture in `textures`, -1 for none.

@@ -231,9 +231,9 @@ def coarse_steps(vertices: Float[HostArray, "v 3"]) -> str:
     if not is_rounded or are_whole(_ROUND * step) or are_whole(decimal(_ROUND * step)):
         return ""
     return (
-        f"is far from its origin, and its coordinates there have steps of {step:.2g}, which is "
-        f"{step / (high - low).max():.2%} of its size, as if stored in single precision: its shape is rounded; move it "
-        "to the origin before it is exported, and give its place with translate"
+        f"lies far from the origin: its coordinates are rounded to steps of {step:.2g}, as in single precision, which "
+        f"is {step / (high - low).max():.2%} of the mesh's size and changes its shape; move the mesh to the origin "
+        "before it is exported, and give its place with translate"
     )
 
 

@@ -45,7 +45,7 @@ class Material(NamedTuple):
     """A material.
 
     - `factor`: its diffuse colour, linear.
-    - `texture`: of its base colour and opacity; none if it has none that can be read.
+    - `texture`: texture of its base colour and opacity; none if there is none that can be read.
     - `scale`, `offset`: what texture coordinates are multiplied by, and what is added then.
     """
 

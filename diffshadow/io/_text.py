@@ -71,7 +71,7 @@ def read_points(
 
     **Arguments:**
 
-    - `numbers`: of each line, for errors; by default they count from 1.
+    - `numbers`: each line's number, for errors; by default counted from 1.
 
     **Raises** `MeshError` if a line has fewer, or a word that is not a number.
     """

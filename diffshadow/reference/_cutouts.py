@@ -24,7 +24,7 @@ class Cutouts:
         self.tested = (self.index >= 0) & (self.cutoff[np.maximum(self.index, 0)] > 0)
 
     def only(self, faces: Bool[HostArray, " f"]) -> "Cutouts":
-        """Of the triangles selected by `faces` (f,)."""
+        """The cutouts of the triangles that `faces` (f,) selects."""
         some = object.__new__(Cutouts)
         some.cutoff, some.images, some.samplers = self.cutoff, self.images, self.samplers
         some.index, some.uv, some.tested = self.index[faces], self.uv[faces], self.tested[faces]

@@ -22,7 +22,7 @@ class HiddenPoints(NamedTuple):
 
     - `caster`: (n,), the index among the given faces of the one that hides a point.
     - `position`, `normal`: (n, 3), the hidden points, and unit normals there, turned to the light.
-    - `area`: (n,), of the caster across the light that each point stands for.
+    - `area`: (n,), the caster's area across the light that each point represents.
     """
 
     caster: Int[HostArray, " n"]

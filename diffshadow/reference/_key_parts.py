@@ -29,7 +29,7 @@ class KeyedScene(NamedTuple):
 
     @classmethod
     def of(cls, scene: Scene) -> "KeyedScene":
-        """Of a scene with one light; `ValueError` for several."""
+        """Takes a scene with one light; `ValueError` for several."""
         mesh = scene.mesh
         arrays = np.asarray(mesh.vertices), np.asarray(mesh.faces)
         return cls(scene, arrays, _cutouts(mesh), _fields(scene.camera), _fields(scene.light))

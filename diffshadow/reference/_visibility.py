@@ -211,7 +211,8 @@ def _traced(
 class Job:
     """One image being traced. Images are flat arrays of pixels. If `sampling` is `None`, no shadow rays are traced.
 
-    - `tracer`: of all triangles, which the camera sees; `occluders`: of the triangles that block shadow rays.
+    - `tracer`: tracer of all triangles, which the camera sees; `occluders`: tracer of the triangles that block shadow
+        rays.
     """
 
     def __init__(

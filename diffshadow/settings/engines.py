@@ -10,11 +10,11 @@ from .techniques import Technique
 Side = Literal["front", "back", "double"]
 """Which faces of a mesh an engine draws."""
 Sides = Side | tuple[Side, ...]
-"""Of all meshes, or of each."""
+"""One side for all meshes, or one for each."""
 ShadowSides = Sides | tuple[Side | None, ...]
-"""Of all meshes, or of each; None for what the engine chooses."""
+"""One side for all meshes, or one for each; `None` for the engine's choice."""
 OTHER_SIDE: dict[Side, Side] = {"front": "back", "back": "front", "double": "double"}
-"""The side that three.js draws into shadow maps, of each side of a material: the renderer's own table."""
+"""The side that three.js draws into shadow maps for each side of a material: the renderer's own table."""
 ShadowType = Literal["BasicShadowMap", "PCFShadowMap", "PCFSoftShadowMap", "VSMShadowMap"]
 BabylonFilter = Literal[
     "NONE",
@@ -71,10 +71,10 @@ class Engine(Technique):
     - `biases`: the keys of its depth bias and its normal bias, and `bias_names` what the engine calls them.
     - `filter_key`: the key that chooses its filter, and `filters` those that are fitted, of directional and spot lights
         and of point lights.
-    - `kinds`: of the lights that it draws.
+    - `kinds`: the kinds of lights that it draws.
     - `has_square_maps`: whether the maps of all lights must be square.
-    - `default_size`: of its maps, texels along a side.
-    - `suffix`: of a file in its users' language.
+    - `default_size`: the default size of its maps, texels along a side.
+    - `suffix`: suffix of a file in the language of the engine's users.
     """
 
     is_whole = True
@@ -150,7 +150,7 @@ class BabylonJs(Engine):
         Limits(0, 1024, above_low=True),
         Unit("texels"),
         Fitted(),
-        "blurScale: radius of POISSONSAMPLING, or size of a map over its blur's size",
+        "blurScale: radius of POISSONSAMPLING, or a map's size divided by its blur's size",
     ] = 2.0
     depth_scale: Annotated[
         float,

@@ -31,7 +31,7 @@ def widest_blur(*sides: int) -> float:
 
 _Tolerance = Annotated[float, Limits(0, 1, above_low=True, below_high=True)]
 Excess = Annotated[float, Limits(0, 10, above_low=True)]
-"""By which fraction of its best an error may exceed it."""
+"""How far an error may exceed the best, as a fraction of the best."""
 Blur = Annotated[float, Limits(0, MAX_TEXELS), Unit("pixels")]
 
 
@@ -134,7 +134,7 @@ class Sureness(Settings):
         "for each, how far every parameter may move before the error exceeds its best by this fraction, with the "
         "others fitted again",
     ] = ()
-    tolerance: Annotated[Excess, "for prefer: fraction of its best by which the error may exceed it"] = 0.01
+    tolerance: Annotated[Excess, "for prefer: how far the error may exceed the best, as a fraction of the best"] = 0.01
     front: Annotated[
         int,
         Limits(0, 101),

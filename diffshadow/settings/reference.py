@@ -30,7 +30,7 @@ class TracedReference(Reference):
     # More gain nothing in float32.
     samples: Annotated[int, Limits(1, 1 << 16), Unit("rays per pixel"), "shadow rays per pixel"] = 64
     sampler: Annotated[Sampler, "how points of the light are chosen"] = "sobol"
-    blockers: Annotated[Blockers, "meshes that block rays: casters, or all, also with casts: false"] = "casters"
+    blockers: Annotated[Blockers, "meshes that block rays: casters, or all, even those with casts: false"] = "casters"
     # More are not worth their memory.
     supersampling: Annotated[
         int,
@@ -61,9 +61,9 @@ class PictureReference(Reference):
     ] = None
     encoding: Annotated[Encoding | None, "of the picture's numbers; default: by the kind of its file"] = None
     exposure: Annotated[float, Limits(-20, 20), Unit("stops"), "by how much the drawn picture is brightened"] = 0.0
-    samples: Annotated[int, Limits(1, 1 << 16), Unit("rays per pixel"), "shadow rays per pixel, without a path"] = 64
+    samples: Annotated[int, Limits(1, 1 << 16), Unit("rays per pixel"), "shadow rays per pixel; without path only"] = 64
     supersampling: Annotated[
-        int, Limits(1, 8), Unit("camera rays per pixel side"), "camera rays along a pixel's side, without a path"
+        int, Limits(1, 8), Unit("camera rays per pixel side"), "camera rays along a pixel's side; without path only"
     ] = 4
 
     def how(self, seed: int) -> dict[str, Any]:

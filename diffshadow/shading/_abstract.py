@@ -26,7 +26,8 @@ class AbstractShading(CheckedModule):
         **Arguments:**
 
         - `light`: one light, or several in a sequence.
-        - `visibility`: (h, w), of the light, in [0, 1]. For several lights, one for each, (l, h, w) or in a sequence.
+        - `visibility`: (h, w), visibility of the light, in [0, 1]. For several lights, one for each, (l, h, w) or in a
+            sequence.
 
         **Returns:** (h, w, 3), linear, 0 or more; it may exceed 1. Differentiable with respect to all arguments,
         without NaN.

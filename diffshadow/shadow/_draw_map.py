@@ -246,7 +246,7 @@ class MapSettings:
 class MapPlan(eqx.Module):
     """What a technique needs to draw a scene's shadow map inside `jax.jit`: edges, and memory for silhouettes.
 
-    - `edges`: of the casters; `None` for a map without silhouettes.
+    - `edges`: edges of the casters; `None` for a map without silhouettes.
     - `crossings`, `raises`: as for `draw_shadow_map`.
     """
 

@@ -38,7 +38,7 @@ def pixels_per_texel(
     **Arguments:**
 
     - `pixel`, `texel`: functions from world points (h, w, 3) to places on the screen and in the map, (h, w, 2).
-    - `points`: (h, w, 3); `normals`: of each of k surfaces through them.
+    - `points`: (h, w, 3); `normals`: the normals of each of k surfaces through these points.
     """
     ways = jnp.stack(tangents(normals))
     moved = lambda project: jax.vmap(jax.vmap(lambda way: jax.jvp(project, (points,), (way,))[1]))(ways)

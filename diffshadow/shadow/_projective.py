@@ -55,7 +55,7 @@ class ProjectiveTexture(eqx.Module):
 class ProjectiveShadow(AbstractTechnique):
     """Shadows by a projected texture, with bilinear look-ups.
 
-    - `resolution`: of the texture, (height, width) in texels.
+    - `resolution`: resolution of the texture, (height, width) in texels.
     - `blur`: radius of the blur kernel, in texels; up to 0.5 nothing is blurred.
     - `max_blur`: upper bound on `blur`, in texels. Defaults to `blur`, or to 8 if that is traced.
     - `kernel`: `"box"`, whose radius is half its width, `"tent"` or `"gaussian"`, cut off at three standard deviations.

@@ -32,7 +32,7 @@ class Receiver(eqx.Module):
     """The surface as the light sees it: the input of a bias.
 
     - `position`: (h, w, 3), world units; `normal`: (h, w, 3), unit, geometric.
-    - `cosine`: (h, w), of the angle between the normal and the direction to the light's centre.
+    - `cosine`: (h, w), cosine of the angle between the normal and the direction to the light's centre.
     - `texel`: (h, w, 2), its place in the map, x and y in texels; `depth`: (h, w), its window depth.
     - `in_front`: (h, w), whether it is in front of the light.
     - `texel_size`: (h, w), width of a shadow-map texel there, in world units.

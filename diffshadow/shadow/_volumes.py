@@ -59,7 +59,7 @@ class VolumeScene(eqx.Module):
 
     - `casters`: visible, and cast shadows. Volumes are watertight if coincident vertices are bitwise equal.
     - `light`, `camera`: the light that extrudes the volumes, and the camera that sees them.
-    - `edges`: of `casters`.
+    - `edges`: edges of `casters`.
     - `receivers`: surfaces that are visible but cast no shadow, or `None`.
     """
 
@@ -164,7 +164,7 @@ def shadow_volumes(
 
     **Arguments:**
 
-    - `edges`: of `casters`.
+    - `edges`: edges of `casters`.
     - `caps`: whether volumes are capped, by the casters' faces and by the same faces at infinity.
     """
     view = _endless(camera.view())

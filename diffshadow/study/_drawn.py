@@ -11,7 +11,7 @@ from .._types import HostArray
 class Drawn(NamedTuple):
     """A scene as one of its lights and the camera see it, and its reference.
 
-    - `key`: of the light, such as `"scene.light"`.
+    - `key`: key of the light, such as `"scene.light"`.
     - `scene`: the scene with only that light.
     - `state`: the technique's state for the light.
     - `mask`: (h, w), the pixels that count: where raster and reference see a surface, and the technique covers it.

@@ -18,7 +18,7 @@ def report(folder: Path, *, form: str | None = None, dpi: int = 150) -> Path:
     **Arguments:**
 
     - `form`: `"png"`, `"svg"` or `"pdf"` writes the run's figures again, too, beside the page.
-    - `dpi`: of these figures, in pixels per inch.
+    - `dpi`: the figures' resolution, in pixels per inch.
 
     **Returns** the page.
 

@@ -304,7 +304,7 @@ def test_a_bias_far_above_the_usual_is_explained(bias, bounds, said, asking):
     assert numbers is not None
     usual, fitted = map(float, numbers.groups())
     assert usual > fitted
-    assert re.search(r"[\d,]+ pixels of [\d,]+ in light ask for more, and would lose more than a tenth of it", found)
+    assert re.search(r"[\d,]+ pixels of [\d,]+ in light need a larger bias: with the usual one", found)
     assert asking in found
     # A usual one that is as good is to be taken.
     (free,) = large_biases(parse_config(text, low, fitting=True), 1.0)

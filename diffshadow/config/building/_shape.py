@@ -40,7 +40,7 @@ _AXES = "xyz"
 class Screen(NamedTuple):
     """A light, the screen that its shadows fall on, and the camera that sees nothing but the screen.
 
-    - `key`: of the light in the configuration.
+    - `key`: key of the light in the configuration.
     """
 
     key: str
@@ -81,7 +81,7 @@ class ShapePlan(NamedTuple):
     - `start`: the mesh at the start; `None` for the visual hull of the targets. `symmetry`: as for `fit.ShapeProblem`.
     - `targets`: the mesh whose shadow each light should cast; empty if there are images.
     - `truth`: the mesh that casts all of these shadows, if there is one.
-    - `images`, `weights`: (h, w), of each light; empty without images.
+    - `images`, `weights`: (h, w), an image and weights for each light; empty without images.
     - `remarks`: sentences on images that look wrong.
     """
 

@@ -31,7 +31,7 @@ class AdvisedTechnique(NamedTuple):
     """A technique of a recommendation.
 
     - `bias`, `filter`: the labels of its entries.
-    - `resolution`: of its map, (height, width) in texels.
+    - `resolution`: resolution of its map, (height, width) in texels.
     """
 
     bias: str

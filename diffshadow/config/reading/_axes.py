@@ -37,8 +37,8 @@ def levels_of(settings: AxesConfig, draft: Draft) -> list[list[Choice]]:
 
     **Arguments:**
 
-    - `settings`: a section of axes; `draft`: of the configuration that it stands in. A sweep's `repeats` count upwards
-        from its seed.
+    - `settings`: a section of axes; `draft`: the draft of the configuration that contains the section. A sweep's
+        `repeats` count upwards from its seed.
 
     **Raises** `ConfigError` if no file matches a pattern, or the sun is below the horizon.
     """

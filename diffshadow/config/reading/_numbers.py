@@ -18,7 +18,7 @@ _SIDES = (256, 512, 1024, 2048, 4096)
 class Number(NamedTuple):
     """A number of a configuration.
 
-    - `value`, `unit`, `limits`: of its key.
+    - `value`, `unit`, `limits`: value, unit and limits of its key.
     - `meaning`: what it does; empty if nothing says so.
     - `is_fittable`: whether a fit of the technique can find it.
     """
@@ -33,7 +33,7 @@ class Number(NamedTuple):
 class Choice(NamedTuple):
     """A setting of a configuration that has one of several values, or is a whole number.
 
-    - `value`, `options`: of its key; no options of a whole number, which has `limits`.
+    - `value`, `options`: value and options of its key; a whole number has `limits` in place of options.
     - `sets`: the key to set: the whole section, for the key `type` of one.
     - `meaning`: what it does; empty if nothing says so.
     """

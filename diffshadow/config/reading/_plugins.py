@@ -51,8 +51,8 @@ def add_plugins(data: Mapping[str, Any], origin: Origin, folder: Path, *, needed
 
     **Arguments:**
 
-    - `folder`: of the configuration. Modules are imported from there, from the current folder and from wherever Python
-        finds them.
+    - `folder`: folder of the configuration. Modules are imported from there, from the current folder and from wherever
+        Python finds them.
     - `needed`: whether their modules are. The settings of a finished run can be read without: then its keys and values
         stand in for the fields of a class whose module is not found.
 

@@ -75,7 +75,7 @@ class FitView(NamedTuple):
     """A scene that is fitted, or that validates a fit.
 
     - `name`: its name, which no other has.
-    - `config`: of a run of its own.
+    - `config`: the configuration of a run of its own.
     """
 
     name: str
@@ -85,7 +85,7 @@ class FitView(NamedTuple):
 class Reach(NamedTuple):
     """How far from a receiver the filter reads, in `texels`, with the normal offset.
 
-    - `path`: of the key that contributes most; `is_of_fit`: whether that is a bound of a fitted number.
+    - `path`: path of the key that contributes most; `is_of_fit`: whether that is a bound of a fitted number.
     """
 
     texels: float

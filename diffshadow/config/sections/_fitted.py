@@ -52,7 +52,7 @@ class Fittable(NamedTuple):
         `fit.Arrangement`.
     - `setting`: the limits of its bounds, equal to those of the keys that set such numbers, and what it means.
     - `unit`: empty for colours and factors.
-    - `value`: of a number of the technique; none if it is not set.
+    - `value`: value of a number of the technique; none if it is not set.
     - `is_searched`: whether it is found by a search, rather than by gradient.
     - `vertex`: the indices of mesh and vertex, if the number is a coordinate of a vertex.
     """

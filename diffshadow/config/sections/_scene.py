@@ -252,8 +252,8 @@ class MeshConfig(Section):
     )
     alpha_cutoff: Annotated[
         Annotated[float, Limits(0, 1)] | None,
-        "alpha, of the texture times that of a file's vertices, below which the mesh is cut out, 0 for none of it; "
-        "default: as the mesh file says",
+        "the mesh is cut out where its alpha (the texture's times the vertices') is below this value; 0 cuts nothing "
+        "out; default: as the mesh file says",
     ] = None
     texture_wrap: Annotated[
         Annotated[scene.Wraps, Form(_WRAPS)] | None,
@@ -365,7 +365,7 @@ class SceneConfig(Section):
     ]
     camera: CameraConfig = Field(
         default_factory=CAMERAS.make,
-        description="camera of the image; without eye and orbit, or as auto, it frames the casters and their shadows",
+        description="camera of the image; as auto, or without eye and orbit, it frames the casters and their shadows",
     )
     light: Annotated[LightConfig | None, "light that casts the shadows; auto: a sun, or a lamp inside a room"] = None
     lights: Annotated[
@@ -406,6 +406,6 @@ class SceneConfig(Section):
         """Faults of alpha tests where the outlines of casters matter."""
         for i, mesh in enumerate(self.meshes):
             if mesh.alpha_cutoff:
-                message = f"is {mesh.alpha_cutoff:g} {why}, whose outlines are those of whole faces"
+                message = f"is {mesh.alpha_cutoff:g} {why}, whose outlines follow whole faces"
                 what = fault(message, "meshes without an alpha test", f"remove it, or {mend}")
                 yield ("scene", "meshes", i, "alpha_cutoff"), what

@@ -283,7 +283,7 @@ def _again(error: Any) -> InitErrorDetails:
 
 
 class Variants:
-    """The variants of a section, selected by the key `type`: one for each class of settings below `base` with a `type`.
+    """The variants of a section, selected by the key `type`: one for each subclass of `base` that has a `type`.
 
     A section that is written by hand adds rules between keys. The others are made here, in the namespace of `module`.
     Sections of users' classes are added as configurations name them, and are no choices of others.

@@ -34,7 +34,7 @@ class Receivers(eqx.Module):
 
     @classmethod
     def of(cls, clip: Float[Array, "h w 4"], mask: Mask, is_turned: Mask) -> "Receivers":
-        """Of the pixels of a screen.
+        """The receivers at the pixels of a screen.
 
         **Arguments:**
 

@@ -37,7 +37,7 @@ class ArrangedProblem(AbstractProblem):
     - `scene`: meshes, camera and lights as they stand before the arrangement moves them.
     - `weight`: (h, w), how much each pixel counts; 0 or 1, or between where it stands for several.
     - `settings`: how maps are drawn. Only with silhouettes do derivatives see the shadow's outline move.
-    - `edges`: of the casters. `planned` finds them if the settings ask for silhouettes.
+    - `edges`: edges of the casters. `planned` finds them if the settings ask for silhouettes.
     - `blur`: standard deviation, in pixels, of the Gaussian under which differences are compared; 0 for none. It should
         cover a texel of the map as the camera sees it.
     - `shift`: (2,), how far the maps' grids of texels are moved, as for `draw_shadow_map`; none to leave them in place.

@@ -69,7 +69,7 @@ def compressed(
 ) -> tuple[Float[Array, " r"], Float[Array, "r p"]]:
     """A residual vector and a Jacobian with few rows. They have the same normal equations as the images and slopes.
 
-    **Arguments:** `residuals`, `slopes`: of each stack, (n, h, w) and (p, n, h, w).
+    **Arguments:** `residuals`, `slopes`: each stack's residuals (n, h, w), and their derivatives (p, n, h, w).
 
     Each device finds the triangular factor of its own part, so that none has the Jacobian of all views (Demmel et al.,
     "Communication-optimal parallel and sequential QR and LU factorizations", SIAM Journal on Scientific Computing 34,

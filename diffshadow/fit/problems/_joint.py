@@ -36,7 +36,8 @@ Images = tuple[Float[Array, "..."], ...]
 class Losses(NamedTuple):
     """The losses of a subject.
 
-    - `compared`: of the compared part of the differences, which a fit minimises; `whole`: of all of them.
+    - `compared`: the error of the compared part of the differences, which a fit minimises; `whole`: the error of all
+        differences.
     - `errors`: (v,), the error of each problem, of all differences.
     - `overflow`: whether silhouettes are missing from a map, and the images wrong.
     """
@@ -60,7 +61,7 @@ class Joint(eqx.Module):
 
     - `subject`: what is fitted.
     - `problems`: each an `AbstractProblem`, whose own subject is ignored, or a `Stack` of several.
-    - `loss`: of their errors; `own`: a user's in its place, if there is one.
+    - `loss`: the loss of their errors; `own`: a user's loss in its place, if there is one.
     - `devices`: how many devices evaluate its stacks.
     """
 
@@ -212,7 +213,7 @@ class Joint(eqx.Module):
     def together(self, order: Sequence[int]) -> Together:
         """The `losses` and `sides` of fits of a technique, which are stacked, by one program.
 
-        **Arguments:** `order`: of the stacked problems, as `stacked_order` has it.
+        **Arguments:** `order`: the order of the stacked problems, from `stacked_order`.
         """
         found = on_host(_together(self))
         errors = np.empty(len(order), np.float32)

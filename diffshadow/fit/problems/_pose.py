@@ -31,7 +31,7 @@ class PoseProblem(ArrangedProblem):
     - `surface`: the surface that the camera sees; `None` to draw it again at every step, which is needed if visible
         meshes move.
     - `crossings`: as for `draw_shadow_map`; `planned` finds it.
-    - `edges`: of the casters. `planned` finds them if the settings ask for silhouettes.
+    - `edges`: edges of the casters. `planned` finds them if the settings ask for silhouettes.
     - `blur`: standard deviation, in pixels, of the Gaussian under which differences are compared; 0 for none. The blur
         should cover a texel of the map, as seen by the camera.
     - `shift`: (2,), a shift of the map's grid of texels, as for `draw_shadow_map`; `None` for no shift. Maps with a

@@ -219,8 +219,8 @@ def evaluate(
 
     - `groups`: views of one structure, with a leading axis. They are scanned, each with its own reverse pass, so that
         one view's program is compiled for a group, and memory holds one view.
-    - `receivers`: of groups whose pixels are their maps' texels.
-    - `poses`: of their lights, with a leading axis too; none if all are where the views have them.
+    - `receivers`: the receivers of groups whose pixels are their maps' texels.
+    - `poses`: the poses of their lights, with a leading axis too; none if all lights are where the views have them.
     - `crossings`: for how many crossings of silhouettes with the sides of texels there is memory.
     """
     count = sum(group.reference.shape[0] for group in groups)
@@ -258,7 +258,7 @@ def _mesh(vertices: Vertices, faces: Faces) -> Mesh:
 
 
 class Sight(NamedTuple):
-    """What a light sees of its screen; of several, with a first axis.
+    """The pixels of a view's screen that its light sees. Arrays have a first axis for several views.
 
     - `reached`: (h, w), pixels that count, lie in the light's map, and are turned to it.
     - `towards`: (h, w, 3), vectors to the light.
@@ -272,7 +272,7 @@ class Sight(NamedTuple):
 
 @eqx.filter_jit
 def sights(groups: list[ShapeView]) -> list[Sight]:
-    """Of each view, in each group along a first axis."""
+    """The sight of each view, in each group along a first axis."""
 
     def of_view(view: ShapeView) -> Sight:
         surface = view.surface

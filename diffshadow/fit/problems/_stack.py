@@ -49,7 +49,7 @@ class Stack(eqx.Module):
 
     @classmethod
     def of(cls, problems: Sequence[TechniqueProblem], atlas: Atlas | None, numbers: Sequence[int]) -> "Stack":
-        """Of problems of one structure, whose maps have these `numbers` in the atlas."""
+        """Stacks problems of one structure, whose maps have these `numbers` in the atlas."""
         surfaces, sights = _distinct([problem.surface for problem in problems])
         if atlas is not None:
             problems = _without_depths(problems)
@@ -61,7 +61,7 @@ class Stack(eqx.Module):
 
     @classmethod
     def on(cls, devices: int, problems: Sequence[TechniqueProblem]) -> "Stack":
-        """Of problems of one structure, as many on each of the `devices`."""
+        """Stacks problems of one structure, with as many on each of the `devices`."""
         each = len(problems) // devices
         parts = [problems[start : start + each] for start in range(0, len(problems), each)]
         maps: Any = [_distinct([p.shadow_map for p in part]) for part in parts]

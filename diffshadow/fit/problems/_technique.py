@@ -33,7 +33,7 @@ class TechniqueProblem(AbstractProblem):
     - `mask`: (h, w), the pixels that count.
     - `scene`: with one light; needed only if a number of the map's layout is fitted.
     - `weight`: how many pixels each pixel represents, one number or (h, w); more than 1 in a sample of the pixels.
-    - `factor`: of all squared differences; in a sample, it corrects their sum.
+    - `factor`: a factor of all squared differences; in a sample, it corrects their sum.
 
     !!! Example
 

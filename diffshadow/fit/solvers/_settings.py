@@ -25,7 +25,7 @@ class Solver(CheckedModule):
     """Which optimistix solver runs, and when a phase ends.
 
     - `name`: `"levenberg_marquardt"`, `"dogleg"`, `"bfgs"`, `"lbfgs"` or `"adam"`.
-    - `max_steps`: of each phase.
+    - `max_steps`: most steps of each phase.
     - `rtol`, `atol`: a phase ends when both parameters and loss change by less than these tolerances.
         Levenberg-Marquardt also ends after a step that did not help, if the next step would change all parameters by
         less.

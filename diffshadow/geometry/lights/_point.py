@@ -41,7 +41,7 @@ class PointLight(AbstractLight):
     - `position`: (3,), world units.
     - `near`, `far`: distances along a face's axis of window depth 0 and 1, world units. Surfaces closer to the light
         than `near` along all three axes cast no shadow.
-    - `radius`: of the emitting sphere, world units; 0 for a point.
+    - `radius`: radius of the emitting sphere, world units; 0 for a point.
     - `guard`: how far a face extends beyond its 90 degrees, as a fraction of half their width. Resolution drops by the
         same fraction.
 

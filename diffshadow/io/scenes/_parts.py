@@ -25,7 +25,7 @@ class SceneMesh(NamedTuple):
     - `emits`: whether its material shines, or is drawn as if it did.
     - `colours`: (v, 3), linear, of the vertices; `None` if they have no colours.
     - `uv`, `texture`: (v, 2), texture coordinates, and the texture that `colour` is multiplied by; or `None`.
-    - `alpha`: (v,), of the vertices, which the alpha test multiplies by the texture's alpha; `None` if all are 1.
+    - `alpha`: (v,), the vertices' alpha, which the alpha test multiplies by the texture's alpha; `None` if all are 1.
     """
 
     name: str
@@ -71,7 +71,8 @@ class SceneCamera(NamedTuple):
 class SceneShadow(NamedTuple):
     """The settings of a light's shadow, by the names, units and defaults of three.js.
 
-    - `near`, `far`: of its camera; `window`: left, right, top and bottom of a directional light's.
+    - `near`, `far`: distances of its camera's planes; `window`: left, right, top and bottom of a directional light's
+        camera.
     - `map_size`: (width, height), texels.
     - `half_angle`: degrees, of the height of a spot light's camera; `aspect`: its width over its height.
     """

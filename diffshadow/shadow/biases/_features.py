@@ -17,7 +17,7 @@ class Feature(NamedTuple):
     """A number that a shader knows of a receiver.
 
     - `of`: its value (h, w), at least 0.
-    - `unit`: of the value.
+    - `unit`: unit of the value.
     - `shader`: the same as an expression of a shader, whose `at` is a `ShadowReceiver`.
     """
 

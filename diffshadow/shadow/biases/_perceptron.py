@@ -47,7 +47,7 @@ class PerceptronBias(AbstractBias):
 
         **Arguments:**
 
-        - `sizes`: of the hidden layers.
+        - `sizes`: sizes of the hidden layers.
 
         **Raises** as the class does.
         """

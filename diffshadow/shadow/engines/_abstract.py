@@ -71,7 +71,7 @@ class AbstractEngineShadows(AbstractTechnique):
     """Shadows as a real-time engine draws them.
 
     - `compare`: how depths are compared; the hard compare is the engine's own.
-    - `resolution`: of the map, (height, width) in texels.
+    - `resolution`: resolution of the map, (height, width) in texels.
     - `has_layers`: whether cascades are separate layers instead of parts of one texture.
     - `subpixels`: steps to a texel; the engine's rasterizer places vertices at whole steps. Most graphics hardware
         has 256, Chromium's software rasterizer 16.

@@ -66,11 +66,12 @@ class BabylonJs(AbstractEngineShadows):
     - `contact_hardening_light_size_uv_ratio`: the radius of `PCSS`, over the width of the map.
     - `filter`: the generator's `FILTER_` constant.
     - `quality`: the generator's `filteringQuality`, for `PCF` and `PCSS`.
-    - `blur_kernel`, `blur_box_offset`, `use_kernel_blur`: of blurred exponential maps: the width in texels of the
+    - `blur_kernel`, `blur_box_offset`, `use_kernel_blur`: the blur of exponential maps: the width in texels of the
         Gaussian, how far the box reaches to each side in texels, and which one is used.
     - `force_back_faces_only`: whether back faces cast. The engine does so for meshes with its own, clockwise winding.
         For other meshes, such as those of its glTF loader, the setting has no effect: leave it out for these.
-    - `back_face_culling`: of the meshes' materials: of all, or of each. Without it both sides cast.
+    - `back_face_culling`: whether the meshes' materials cull back faces: one value for all meshes, or one for each.
+        Without it both sides cast.
     - `float_maps`: `usefullFloatFirst`: whether maps hold floats. By default, maps have half floats. Their steps are
         2^-11 for metrics of at least 1/2, ten times the default bias.
     - `resolution`, `subpixels`, `compare`: see `AbstractEngineShadows`. Maps are square.

@@ -57,13 +57,13 @@ class Bevy(AbstractEngineShadows):
     `CascadeShadowConfigBuilder`. A directional light has the engine's cameras, which are fitted to the view of the
     scene's camera up to `maximum_distance`. Only the direction of the light matters.
 
-    - `shadow_filtering_method`: of the camera: a tent over 5 texels, or one bilinear compare. `Temporal`, whose noise
-        changes with time, is not drawn.
+    - `shadow_filtering_method`: the camera's filter: a tent over 5 texels, or one bilinear compare. `Temporal`, whose
+        noise changes with time, is not drawn.
     - `shadow_depth_bias`: how far receivers move towards the light, in world units.
     - `shadow_normal_bias`: how far receivers move along their normals, in diagonals of a texel; under a spot light, of
         a texel at the receiver's distance.
-    - `num_cascades`, `minimum_distance`, `maximum_distance`, `first_cascade_far_bound`, `overlap_proportion`: of a
-        directional light's cascades; distances in world units.
+    - `num_cascades`, `minimum_distance`, `maximum_distance`, `first_cascade_far_bound`, `overlap_proportion`: settings
+        of a directional light's cascades; distances in world units.
     - `shadow_map_near_z`: the near plane of a spot light, world units.
     - `side`: the faces that the meshes' materials keep (`cull_mode`), which therefore cast; one value for all meshes,
         or one for each.

@@ -37,13 +37,14 @@ class CameraOfLight(NamedTuple):
 class EngineCameras(AbstractLight):
     """A light with the cameras that an engine gives it: one, or one for each cascade.
 
-    - `world_to_eye`, `eye_to_clip`, `near`, `far`, `to_clip`, `to_window`: of each of the k cameras, see
+    - `world_to_eye`, `eye_to_clip`, `near`, `far`, `to_clip`, `to_window`: one for each of the k cameras, see
         `CameraOfLight`.
     - `camera`: the view of the camera that they are fitted to; None if they are not fitted.
     - `ends`: (k,), the depths along its axis up to which each is looked up, world units; beyond the last there are no
         shadows. None for a light without such ends.
     - `is_perspective`: whether it is a spot light rather than a directional one.
-    - `inner_cosine`: of a spot light's angle within which it shines with all its strength; None if that is its window.
+    - `inner_cosine`: cosine of the angle within which a spot light shines with all its strength; `None` if that is its
+        window.
     """
 
     world_to_eye: Float[Array, "k 4 4"] = eqx.field(converter=as_float)

@@ -23,8 +23,8 @@ def engine_code(
     **Arguments:**
 
     - `light`: a light of this library, or the engine's light.
-    - `distances`: of the nearest and the farthest receiver along the light's axis, world units.
-    - `origin`: of the light's scene: the world point that the light's coordinates are counted from.
+    - `distances`: distances of the nearest and the farthest receiver along the light's axis, world units.
+    - `origin`: the world point that the coordinates of the light's scene are counted from.
 
     **Raises** what `EngineLight.of` raises.
     """
@@ -203,6 +203,6 @@ def place(position: Sequence[float], origin: Origin) -> str:
 
 
 def number(value: float) -> str:
-    """The fewest digits that are the same number in single precision, and never -0."""
+    """`value` with the fewest digits that read back as the same number in single precision; never -0."""
     (number,) = plain([value])
     return f"{number:.9g}"

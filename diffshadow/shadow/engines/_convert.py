@@ -36,8 +36,8 @@ class _Common(NamedTuple):
     """What the formulas share: the shift b and a texel's width t in world units, the normal offset m in texels, near n,
     far f, the range D = f - n, and the distance d along the light's axis.
 
-    - `power`, `offset_power`: of the distance, with which b and m t grow; None under a directional light, where nothing
-        varies with distance.
+    - `power`, `offset_power`: powers of the distance with which b and m t grow; None under a directional light, where
+        nothing varies with distance.
     - `softness`: by which Godot and Unity multiply what is set.
     """
 
@@ -72,10 +72,10 @@ class _Common(NamedTuple):
 class PlainBias(NamedTuple):
     """A bias without an engine's unit.
 
-    - `shift`: towards the light, in world units; `power`: of the distance with which it grows.
-    - `offset`: along normals, in texels; `offset_power`: of the distance with which its length grows; `profile`: how it
-        grows with the angle to the light.
-    - `radius`: of a disk of taps that is as wide as the filter, in texels; None for a filter without such a width.
+    - `shift`: shift towards the light, in world units; `power`: the power of the distance with which it grows.
+    - `offset`: shift along normals, in texels; `offset_power`: the power of the distance with which its length grows;
+        `profile`: how it grows with the angle to the light.
+    - `radius`: radius of a disk of taps that is as wide as the filter, in texels; `None` for a filter without a width.
     """
 
     shift: float
@@ -90,7 +90,7 @@ class LightFrame(NamedTuple):
     """A light's camera, at the distance d along its axis.
 
     - `kind`: `"directional"`, `"spot"` or `"point"`.
-    - `texel`: the width of a texel there; `near`, `far`: of the camera. World units.
+    - `texel`: the width of a texel there; `near`, `far`: distances of the camera's planes. World units.
     """
 
     kind: LightKind
@@ -142,8 +142,8 @@ def engine_settings(
     - `normal_offset`: in texels.
     - `distance`: along the light's axis, in world units. Settings that vary with the distance are given for this
         distance. Ignored for a directional light.
-    - `profile`: of the normal offset. Engines with another profile are left out, unless the offset is 0. `None` ignores
-        the difference between profiles.
+    - `profile`: profile of the normal offset. Engines with another profile are left out, unless the offset is 0. `None`
+        ignores the difference between profiles.
     - `power`: the power of the distance with which the bias grows: 0 for world units, 1 for texels, 2 for window depth.
         Notes say which settings grow otherwise. `offset_power`: the same for the normal offset.
     - `softness`: the engine's factor on the set value: Godot, under directional lights, `shadow_blur` times the

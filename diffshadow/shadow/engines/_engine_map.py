@@ -277,7 +277,7 @@ def reversed_map_of(
 
     **Arguments:**
 
-    - `clip`: of the vertices, with depth over w reversed.
+    - `clip`: the vertices' clip coordinates, with depth over w reversed.
     - `is_flattened`: whether what lies before the near plane has depth 1, under a directional light; otherwise it is
         cut away.
     """

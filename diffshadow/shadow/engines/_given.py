@@ -39,8 +39,9 @@ def three_directional_light(
     **Arguments:**
 
     - `position`, `target`: `light.position` and `light.target.position`, (3,), world units.
-    - `left`, `right`, `top`, `bottom`, `near`, `far`: of `light.shadow.camera`, world units from the position.
-    - `angular_radius`: of the light's disk, in degrees, for references; the engine has none.
+    - `left`, `right`, `top`, `bottom`, `near`, `far`: the sides of `light.shadow.camera`, world units from the
+        position.
+    - `angular_radius`: angular radius of the light's disk, in degrees, for references; the engine has none.
 
     **Raises** what `DirectionalLight` raises.
     """
@@ -69,10 +70,12 @@ def three_spot_light(
     - `position`, `target`: `light.position` and `light.target.position`, (3,), world units.
     - `angle`: `light.angle`: from the cone's axis to its side, in radians.
     - `penumbra`: `light.penumbra`, from 0 to 1: the part of the angle over which shading falls off.
-    - `near`, `far`: of `light.shadow.camera`; `distance`: `light.distance`, which replaces far unless it is 0.
-    - `focus`, `aspect`: of `light.shadow`.
-    - `resolution`: of the map, (height, width); the window is as wide over its height as the map, times `aspect`.
-    - `radius`: of the light's disk, in world units, for references; the engine has none.
+    - `near`, `far`: distances of the planes of `light.shadow.camera`; `distance`: `light.distance`, which replaces far
+        unless it is 0.
+    - `focus`, `aspect`: focus and aspect of `light.shadow`.
+    - `resolution`: resolution of the map, (height, width); the window is as wide over its height as the map, times
+        `aspect`.
+    - `radius`: radius of the light's disk, in world units, for references; the engine has none.
 
     **Raises** what `SpotLight` raises.
     """
@@ -95,8 +98,9 @@ def three_point_light(
     **Arguments:**
 
     - `position`: `light.position`, (3,), world units.
-    - `near`, `far`: of `light.shadow.camera`; `distance`: `light.distance`, which replaces far unless it is 0.
-    - `radius`: of the light's sphere, in world units, for references; the engine has none.
+    - `near`, `far`: distances of the planes of `light.shadow.camera`; `distance`: `light.distance`, which replaces far
+        unless it is 0.
+    - `radius`: radius of the light's sphere, in world units, for references; the engine has none.
 
     **Raises** what `PointLight` raises.
     """
@@ -127,7 +131,7 @@ def babylon_directional_light(
     - `shadow_min_z`, `shadow_max_z`: near and far, world units from the position.
     - `shadow_ortho_scale`: `light.shadowOrthoScale`: the part of its width by which the window is wider on each side,
         and of its height.
-    - `angular_radius`: of the light's disk, in degrees, for references; the engine has none.
+    - `angular_radius`: angular radius of the light's disk, in degrees, for references; the engine has none.
 
     **Raises** what `DirectionalLight` raises.
     """
@@ -154,7 +158,7 @@ def babylon_spot_light(
     - `angle`: `light.angle`: the full cone, in radians.
     - `shadow_min_z`, `shadow_max_z`: near and far, world units. Without them the engine takes the camera's.
     - `shadow_angle_scale`: `light.shadowAngleScale`.
-    - `radius`: of the light's disk, in world units, for references; the engine has none.
+    - `radius`: radius of the light's disk, in world units, for references; the engine has none.
 
     **Raises** what `SpotLight` raises.
     """
@@ -171,7 +175,7 @@ def babylon_point_light(
 
     - `position`: `light.position`, (3,), world units.
     - `shadow_min_z`, `shadow_max_z`: near and far, world units. Without them the engine takes the camera's.
-    - `radius`: of the light's sphere, in world units, for references; the engine has none.
+    - `radius`: radius of the light's sphere, in world units, for references; the engine has none.
 
     **Raises** what `PointLight` raises.
     """
@@ -207,7 +211,7 @@ def fitted_directional_light(
     **Arguments:**
 
     - `direction`: in which the light shines, (3,).
-    - `angular_radius`: of the light's disk, in degrees, for references; the engine has none.
+    - `angular_radius`: angular radius of the light's disk, in degrees, for references; the engine has none.
 
     **Raises** what `DirectionalLight` raises.
     """
@@ -228,10 +232,10 @@ def playcanvas_spot_light(
 
     **Arguments:**
 
-    - `position`, `direction`: of the light's entity, and in which it shines, (3,), world units.
+    - `position`, `direction`: position of the light's entity, and the direction in which it shines, (3,), world units.
     - `range`: `light.range`, world units; near is a thousandth of it.
     - `outer_cone_angle`, `inner_cone_angle`: from the axis, degrees.
-    - `radius`: of the light's disk, in world units, for references; the engine has none.
+    - `radius`: radius of the light's disk, in world units, for references; the engine has none.
 
     **Raises** what `SpotLight` raises.
     """
@@ -245,9 +249,9 @@ def playcanvas_omni_light(
 
     **Arguments:**
 
-    - `position`: of the light's entity, (3,), world units.
+    - `position`: position of the light's entity, (3,), world units.
     - `range`: `light.range`, world units; near is a thousandth of it.
-    - `radius`: of the light's sphere, in world units, for references; the engine has none.
+    - `radius`: radius of the light's sphere, in world units, for references; the engine has none.
 
     **Raises** what `PointLight` raises.
     """
@@ -268,10 +272,10 @@ def bevy_spot_light(
 
     **Arguments:**
 
-    - `position`, `direction`: of its transform, and in which it shines, (3,), world units.
+    - `position`, `direction`: position of its transform, and the direction in which it shines, (3,), world units.
     - `range`, `shadow_map_near_z`: world units; the map's far plane is at infinity.
     - `outer_angle`, `inner_angle`: from the axis, radians.
-    - `radius`: of the light's disk, in world units, for references; without soft shadows the engine has none.
+    - `radius`: radius of the light's disk, in world units, for references; without soft shadows the engine has none.
 
     **Raises** what `SpotLight` raises.
     """
@@ -291,9 +295,9 @@ def godot_spot_light(
 
     **Arguments:**
 
-    - `position`, `direction`: of its node, and in which it shines, (3,), world units.
+    - `position`, `direction`: position of its node, and the direction in which it shines, (3,), world units.
     - `spot_range`: world units. `spot_angle`: from the axis, degrees.
-    - `radius`: of the light's disk, in world units, for references; the Compatibility renderer has none.
+    - `radius`: radius of the light's disk, in world units, for references; the Compatibility renderer has none.
 
     **Raises** what `SpotLight` raises.
     """
@@ -307,9 +311,9 @@ def godot_omni_light(
 
     **Arguments:**
 
-    - `position`: of its node, (3,), world units.
+    - `position`: position of its node, (3,), world units.
     - `omni_range`: world units.
-    - `radius`: of the light's sphere, in world units, for references; the Compatibility renderer has none.
+    - `radius`: radius of the light's sphere, in world units, for references; the Compatibility renderer has none.
 
     **Raises** what `PointLight` raises.
     """

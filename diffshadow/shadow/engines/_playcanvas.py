@@ -90,7 +90,7 @@ class PlayCanvas(AbstractEngineShadows):
         light's range.
     - `normal_offset_bias`: how far receivers move along their normals, in world units; under a point light, times the
         distance to the light and 1 - cos θ.
-    - `shadow_intensity`: of the shadow, from 0 to 1.
+    - `shadow_intensity`: intensity of the shadow, from 0 to 1.
     - `shadow_distance`: depth up to which a directional light casts shadows, world units.
     - `num_cascades`, `cascade_distribution`: the number of a directional light's cascades, which share the map, and how
         logarithmic their spacing is. The engine's `cascadeBlend`, whose noise depends on the device, is 0.

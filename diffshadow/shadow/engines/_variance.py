@@ -33,7 +33,7 @@ def blurred(depth: Float[Array, "h w"], radius: Array, samples: int) -> Moments:
 
     **Arguments:**
 
-    - `radius`: of the box, in texels; its ends are samples.
+    - `radius`: radius of the box, in texels; its ends are samples.
     """
     height, width = depth.shape
     offsets, zeros = as_float(_offsets(samples)), (jnp.zeros_like(depth), jnp.zeros_like(depth))

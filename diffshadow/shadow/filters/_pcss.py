@@ -138,9 +138,9 @@ class _Penumbra(eqx.Module):
     """The width of penumbrae at the receivers, in texels along the map's x and y.
 
     - `view`: it converts window depth to distance.
-    - `resolution`: of the map.
+    - `resolution`: resolution of the map.
     - `texel`: (h, w, 2), where receivers fall in the map.
-    - `distance`: (h, w), of receivers along the light's axis, world units.
+    - `distance`: (h, w), distance of receivers along the light's axis, world units.
     - `light_size`: half the light's width in world units; of a directional light, at distance 1.
     """
 

@@ -22,7 +22,8 @@ class Separable(AbstractFilter):
 
     With n weights there are (2n + 1)² compares. All of `Castano`'s kernels are such; size 5 has 3/4 and 1/4.
 
-    - `weights`: of the compares 1, 2, ... texels from the middle, relative to the middle's; each 0 or more.
+    - `weights`: weights of the compares 1, 2, ... texels from the middle, relative to the weight in the middle; each 0
+        or more.
     """
 
     settings: ClassVar = Settings

@@ -32,7 +32,7 @@ class Span(NamedTuple):
 class Footprint(NamedTuple):
     """The texels that a step reads.
 
-    - `column`, `row`: (n,), of the first texel, integers; `rows` begin `up` rows above it.
+    - `column`, `row`: (n,), column and row of the first texel, integers; `rows` begin `up` rows above this texel.
     - `columns`, `rows`: the consecutive columns and rows from there.
     """
 
@@ -71,7 +71,7 @@ class AbstractKernel(eqx.Module):
 
     Its arrays are scalars or have one value per look-up. Visibility is differentiable with respect to them.
 
-    - `cost`: of a step, in taps.
+    - `cost`: cost of a step, in taps.
     """
 
     @property

@@ -45,7 +45,7 @@ class PaddedMap(eqx.Module):
         return self.width + 2 * self.margin
 
     def place(self, x: Float[Array, "*n"], y: Float[Array, "*n"], layer: Int[Array, "*n"] | None) -> Int[Array, "*n"]:
-        """Index of texel (x, y), integers. `margin` texels to the right of it and above it exist.
+        """Index of texel (x, y), integers. There are `margin` texels to its right, and as many above it.
 
         If all of these lie outside the map, it is the index of other empty texels.
         """

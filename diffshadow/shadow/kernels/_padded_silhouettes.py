@@ -28,7 +28,7 @@ class PaddedSilhouettes(eqx.Module):
     """Silhouettes of a padded map.
 
     - `map`: its slots are padded as the depths are.
-    - `bounds`: of the depths within each texel with one, padded too; see `may_part`.
+    - `bounds`: bounds of the depths within each texel with a silhouette, padded too; see `may_part`.
     - `blocks`: the same of blocks of texels.
     """
 
@@ -99,7 +99,7 @@ class BlockBounds(eqx.Module):
 
     A level's blocks begin half a block apart, so that few blocks cover a square without reaching far beyond it.
 
-    - `bounds`: of all levels, flattened and concatenated; `levels`: (first, rows, columns) of each.
+    - `bounds`: bounds of all levels, flattened and concatenated; `levels`: (first, rows, columns) of each level.
     """
 
     bounds: UInt32[Array, " n"]

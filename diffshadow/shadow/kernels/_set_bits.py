@@ -34,7 +34,7 @@ class SetBits(eqx.Module):
 
     @classmethod
     def of(cls, bits: Bool[Array, " m"]) -> "SetBits":
-        """Of one row of `bits`, as columns of `WIDTH` of them."""
+        """Packs one row of `bits` into columns of `WIDTH` bits."""
         columns = jnp.pad(bits, (0, -bits.size % WIDTH)).reshape(-1, WIDTH)
         return cls(jnp.sum(columns << jnp.arange(WIDTH, dtype=jnp.uint32), axis=1, dtype=jnp.uint32)[None])
 

@@ -155,9 +155,9 @@ class Cascades(AbstractFittedLayout):
         side = _side(resolution[0], self.count * self.max_share)
         if side > MAX_TEXELS:
             raise ValueError(
-                f"the cascades' max_share is {self.max_share:.3g}, with which the largest of {self.count} maps of "
-                f"{resolution[0]}² texels on average has {side}²; expected at most {MAX_TEXELS}²: lower the "
-                "resolution, or the greatest share"
+                f"the cascades' max_share is {self.max_share:.3g}: if {self.count} maps have {resolution[0]}² texels "
+                f"on average, the largest has {side}²; expected at most {MAX_TEXELS}²: lower the resolution, or the "
+                "greatest share"
             )
         return side, side
 

@@ -11,7 +11,7 @@ from ..._types import Mask
 class MapFigure(NamedTuple):
     """How the layers of a map are named in a figure.
 
-    - `title`: of the figure.
+    - `title`: title of the figure.
     - `layers`: what each layer shows, for layers side by side; none if they are put together into one image.
     - `used`: how many layers show anything; the others come last.
     """
@@ -24,7 +24,7 @@ class MapFigure(NamedTuple):
 class LayerFigure(NamedTuple):
     """Which layers an image is looked up in, as colours over the image.
 
-    - `name`: of the figure's file, a word.
+    - `name`: name of the figure's file, a word.
     - `title`, `subtitle`: above the figure.
     - `labels`: what each colour in the legend means, by its number.
     - `colour`: (h, w), the number of the colour at each pixel.

@@ -146,7 +146,7 @@ class _Axes(NamedTuple):
 
     - `up`: (2,), the direction of the camera's axis in the plane across the light, in the light's eye space; a unit
         vector.
-    - `sine`: of the angle between light and view.
+    - `sine`: sine of the angle between light and view.
     """
 
     up: Vec2
@@ -218,8 +218,8 @@ def _strength(
 
     **Arguments:**
 
-    - `depth`, `height`: of the points that the map shows, along the camera's axis in world units, and in a map without
-        a warp.
+    - `depth`, `height`: depth and height of the points that the map shows, along the camera's axis in world units, and
+        in a map without a warp.
     - `rise`: z₁ - z₀, world units.
     """
     least = jnp.maximum(jnp.min(depth), camera.near)

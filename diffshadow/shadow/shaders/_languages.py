@@ -25,7 +25,7 @@ _NAME = r"[A-Za-z_]\w*"
 class Language(NamedTuple):
     """A shading language.
 
-    - `suffix`: of its files.
+    - `suffix`: suffix of its files.
     - `array`: the declaration of an array of floats, from its name, its length and its values.
     - `scalar`: the declaration of a number, from its type, its name and its value.
     - `translate`: functions of the parts of shaders in this language.

@@ -55,8 +55,8 @@ def to_shader(
     - `light`: as the map was drawn from: a directional, a spot or a point light, and for cascades or a warp
         `technique.light_of_map(scene)`.
     - `language`: `"glsl"` (3.30 or ES 3.00), `"wgsl"`, or `"hlsl"` (shader model 5).
-    - `name`: of the function, in small letters. All other names begin with it, so that shaders of different names fit
-        into one program.
+    - `name`: name of the function, in small letters. All other names begin with it, so that shaders of different names
+        fit into one program.
     - `first_binding`: in WGSL, of the first array that is a buffer of group 1; see `shader_buffers`.
 
     **Raises** `ValueError` for a technique, a part or a light that has no shader, and a name that is none.

@@ -12,7 +12,7 @@ from ...raster import Segments, light_sides, silhouettes_by_adjacency
 class Outline(eqx.Module):
     """Silhouette edges clipped to the map with a border of one texel; the caster lies to their left.
 
-    - `start`, `end`: (n, 2), in texels; `depth`: (n, 2), window depth at both; `layer`: (n,), of the map.
+    - `start`, `end`: (n, 2), in texels; `depth`: (n, 2), window depth at both; `layer`: (n,), layer of the map.
     - `counts`: (n, 2), how many vertical and horizontal texel boundaries each edge crosses.
     """
 

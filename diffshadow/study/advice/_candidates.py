@@ -33,7 +33,7 @@ def recommended(candidates: Sequence[Candidate], within: float, noise: float = 0
     """The fastest candidate whose RMSE exceeds the least by at most the fraction `within` of it, or by the reference's
     `noise`.
 
-    Of those with the same time, it is the fastest of those with the least error within the noise.
+    If several take the same time, the one with the least error within the noise is chosen, and of those the fastest.
     """
     least = min(each.rmse for each in candidates)
     good = [each for each in candidates if each.rmse <= least + tolerated(least, within, noise)]

@@ -29,7 +29,7 @@ _MEASURED: Mapping[EngineName, str] = {
     "filament": "PCF",
     "unity": "Soft, Medium",
 }
-_THERE_ONLY = "settings that do not grow with the distance as texels do hold there only"
+_THERE_ONLY = "at other distances, only settings that grow with the distance, as texels do, stay valid"
 # What the engines do beside the bias, and did where the rules were measured.
 _BESIDES: Mapping[EngineName, str] = {
     "three.js": "back faces cast, as by default (material.shadowSide)",
@@ -83,7 +83,8 @@ class LightOptions(NamedTuple):
     - `map`: its side in texels; `window`: how wide the map of a directional light is, in world units.
     - `depth`: the map's far plane less its near plane, in world units.
     - `angle`: half the angle of a spot light's cone, in degrees.
-    - `near`: the near plane of a spot or point light, and `distance`: from it, where settings hold; in world units.
+    - `near`: the near plane of a spot or point light; `distance`: the distance from the light at which settings are
+        valid; in world units.
     """
 
     light: LightKind = "directional"
@@ -209,7 +210,7 @@ def _print_shipped(engine: EngineName, of_map: LightOptions, console: Console) -
 def _refuse(needed: str, of: str, given: Mapping[str, float | None]) -> None:
     names = [f"--{name}" for name, value in given.items() if value is not None]
     if names:
-        raise ValueError(f"{names[0]} is given without --{needed}; expected both, since it is of {of}")
+        raise ValueError(f"{names[0]} is given without --{needed}; expected both, since it belongs to {of}")
 
 
 # --- Filters ---
@@ -234,9 +235,9 @@ def _print_all(console: Console) -> None:
             f"with a bias from the receiver's plane: constant {rules.PLANE_CONSTANT:g} (1 + r); "
             f"{_sentence(rules.PLANE_WORTH)}",
             f"price: the error divided by the error of the best bias for the scene, the mean over {rules.SCENES} "
-            "scenes; each kind of scene was left out of the search for the rule that it tests; own price: the same in "
-            "the scenes of the search; acne, leaks: the share of scenes where more than a thousandth of the light is "
-            "wrongly missing, or wrongly present",
+            "scenes; each kind of scene was left out of the search for the rule that it tests; own price: the same, in "
+            "the scenes in which the rule was searched; acne, leaks: the share of scenes where more than a thousandth "
+            "of the light is wrongly missing, or wrongly present",
             "for a filter: diffshadow defaults --filter random_disk --radius 3",
             f"for an engine: {_EXAMPLES['directional']}",
         ],

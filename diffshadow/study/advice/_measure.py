@@ -107,7 +107,7 @@ def least_bias_for(config: Config, name: str, most: float) -> LeastBias:
 
     **Arguments:**
 
-    - `config`: of the fitted technique.
+    - `config`: configuration of the fitted technique.
     - `name`: a number of the bias, such as `"bias.constant"`.
     """
     technique, drawn = judged(config)

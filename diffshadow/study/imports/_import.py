@@ -55,8 +55,8 @@ def import_scene(
     file = Path(path)
     if file.is_dir():
         raise io.FileError(
-            f"{file} is a folder; expected a scene's or a mesh's file; of a run's folder, fit, render and convert take "
-            "the configuration"
+            f"{file} is a folder; expected the file of a scene or a mesh; to use a run's folder, give it to fit, "
+            "render or convert"
         )
     name = _plain_name(file.stem)
     folder = Path(name) if output is None else Path(output)

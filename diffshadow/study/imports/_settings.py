@@ -76,7 +76,7 @@ def check_casters(scene: io.SceneFile, meshes: Sequence[io.SceneMesh]) -> None:
         mend = remedies.mesh
         if scene.left_out:
             found += f", and {scene.left_out} left out"
-            mend = f"mend what the notes say of what is left out, or {mend}"
+            mend = f"mend what is left out, as the notes say, or {mend}"
         raise ValueError(f"the scene has no mesh that casts shadows ({found}); expected one: {mend}")
 
 

@@ -35,7 +35,7 @@ def print_run(console: Console, record: records.FolderRecord, seconds: float, re
     **Arguments:**
 
     - `seconds`: that it took in all.
-    - `result`: of a fit of numbers, of which no record holds how it chose its values.
+    - `result`: the result of a fit of numbers without a record of how it chose its values.
     """
     if record.said is not None:
         print_lines(console, [record.said.sentence, *record.said.remedies], warn=not record.is_explained)

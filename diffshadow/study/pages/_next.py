@@ -44,7 +44,7 @@ def after_run(folder: Path, record: FolderRecord, technique: str | None = None) 
 
     **Arguments:**
 
-    - `folder`: of the run, with its files; `record`: of the run.
+    - `folder`: the run's folder, with its files; `record`: the run's record.
     - `technique`: that was fitted to visibility or rendered; none without a configuration.
     """
     place, is_fit, is_fitted = final_folder(folder), isinstance(record, FitRecord), (folder / FITTED_FILE).is_file()
@@ -104,7 +104,7 @@ def after_sweep(folder: Path, kind: str, best: Path | None, command: str) -> lis
 
     **Arguments:**
 
-    - `folder`: of the sweep; `kind`: `"fit"` or `"render"`.
+    - `folder`: the sweep's folder; `kind`: `"fit"` or `"render"`.
     - `best`: the folder of the run with the least RMSE, if there is one.
     - `command`: the sweep's command.
     """

@@ -171,7 +171,7 @@ class LightPictures(NamedTuple):
 
 
 class VisibilityView[Of: records.VisibilityRecord](View[Of]):
-    """Of a fit to images of visibility, or a render."""
+    """The report of a fit to images of visibility, or of a render."""
 
     template = "report.html.j2"
     run: VisibilityRun[Any]
@@ -262,7 +262,7 @@ class VisibilityView[Of: records.VisibilityRecord](View[Of]):
 
 
 class RenderView(VisibilityView[records.RenderRecord]):
-    """Of a render."""
+    """The report of a render."""
 
     @property
     def summary(self) -> list[str]:
@@ -286,7 +286,7 @@ class RenderView(VisibilityView[records.RenderRecord]):
 
 
 class FitView(VisibilityView[records.FitRecord]):
-    """Of a fit to images of visibility."""
+    """The report of a fit to images of visibility."""
 
     few_parameters: ClassVar = figures.FEW_PARAMETERS
 
@@ -356,7 +356,7 @@ class FitView(VisibilityView[records.FitRecord]):
 
 
 class PictureView(View[records.PictureRecord]):
-    """Of a fit to a picture."""
+    """The report of a fit to a picture."""
 
     template = "picture.html.j2"
     titles: ClassVar = {"reference": "Reference", "before": "Before", "after": "After"}
@@ -420,7 +420,7 @@ class PictureView(View[records.PictureRecord]):
 
 
 class ShapeView(View[records.ShapeRecord]):
-    """Of a fit of a shape."""
+    """The report of a fit of a shape."""
 
     template = "shape.html.j2"
 

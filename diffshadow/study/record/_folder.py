@@ -26,7 +26,7 @@ _LONGEST_FILE = 80
 class _Fault(NamedTuple):
     """Why a run cannot be written to its folder.
 
-    - `key`: of the configuration, which sets that part of the path; `what`: the message.
+    - `key`: key of the configuration, which sets that part of the path; `what`: the message.
     - `otherwise`: which keys to change instead of the files that are there.
     """
 

@@ -106,7 +106,7 @@ class FitMetrics(Part):
     """How far the images of a fit are from their references, over so many `pixels`.
 
     - `validation`: over the views that the fit has not seen.
-    - `shown`: of several views, the indices of those that have pictures, the worst first.
+    - `shown`: the indices of the views that have pictures, the worst first; for several views only.
     - `resolution`: (height, width) of the images, of a fit without a configuration.
     """
 
@@ -180,8 +180,8 @@ class Start(Part):
 
 
 class Poses(Part):
-    """Of a fit of lights and meshes: the `truth` as far as it is known, how far the fit is from it, and how well the
-    image determines the values."""
+    """The result of a fit of lights and meshes: the `truth` as far as it is known, how far the fit is from the truth,
+    and how well the image determines the values."""
 
     truth: Numbers = {}
     error: Numbers = {}
@@ -255,7 +255,7 @@ class Verdict(Part):
 
 
 class Run(Part):
-    """What the records of all runs have. `warnings`: remarks, a sentence each; `seconds`: of its stages."""
+    """What the records of all runs have. `warnings`: remarks, a sentence each; `seconds`: times of its stages."""
 
     schema_version: Count = 0
     name: str = Field(min_length=1)
@@ -276,7 +276,7 @@ class Run(Part):
 
 
 class RenderRecord(Run):
-    """Of a render."""
+    """The record of a render."""
 
     kind: Literal["render"] = "render"
     seed: Seed
@@ -302,7 +302,7 @@ class NumbersRecord(Run):
 
 
 class FitRecord(NumbersRecord):
-    """Of a fit to images of visibility."""
+    """The record of a fit to images of visibility."""
 
     kind: Literal["fit"] = "fit"
     metrics: FitMetrics
@@ -377,7 +377,7 @@ class PictureMetrics(Part):
 
 
 class PictureRecord(NumbersRecord):
-    """Of a fit to a picture. `camera`: the fitted one's eye, target and up."""
+    """The record of a fit to a picture. `camera`: eye, target and up of the fitted camera."""
 
     kind: Literal["picture"] = "picture"
     encoding: Encoding
@@ -438,7 +438,7 @@ class ShapePhase(Part):
 
 
 class ShapeRecord(Run):
-    """Of a fit of a shape."""
+    """The record of a fit of a shape."""
 
     kind: Literal["shape"] = "shape"
     verdict: Verdict | None = None

@@ -33,8 +33,9 @@ class SweepRecord(ManyRuns):
 class Candidate(Part):
     """A fitted technique.
 
-    - `id`: of its run; `bias`, `filter`: the labels of its entries; `resolution`: of its map, in texels.
-    - `values`: the fitted numbers, by the key that sets them; `units`: of these.
+    - `id`: the id of its run; `bias`, `filter`: the labels of its entries; `resolution`: the resolution of its map, in
+        texels.
+    - `values`: the fitted numbers, by the key that sets them; `units`: the units of these numbers.
     - `rmse`, `false_shadow`, `false_light`: its errors over the validation, or over what the fit sees if there is none.
     - `fit_rmse`: over what the fit sees.
     - `map_ms`, `lookup_ms`: milliseconds to draw the maps of one view and to look them up.
@@ -106,7 +107,7 @@ class Advice(Part):
 
 
 class AdviseRecord(ManyRuns):
-    """Of a recommendation. `advice`: of all fits; none before they are done."""
+    """Of a recommendation. `advice`: advice from all fits; none before they are done."""
 
     kind: Literal["advise"] = "advise"
     advice: Advice | None = absent()
@@ -139,9 +140,9 @@ class Load(Part):
 
 
 class LeastBias(Part):
-    """A bias that leaves no more false shadow than asked for.
+    """The least bias that keeps false shadow within a limit.
 
-    - `value`: the least such bias that was found, in its unit. If there is none, the one with the least false shadow.
+    - `value`: the bias that was found, in its unit. If none keeps the limit, the bias with the least false shadow.
     - `false_shadow`, `false_light`: its errors.
     """
 
@@ -151,8 +152,8 @@ class LeastBias(Part):
 
 
 class Measurements(Part):
-    """Of a recommendation: times of techniques by `ids` of their runs, how busy the machine was meanwhile, and biases
-    by pairs of these."""
+    """What a recommendation measures: times of techniques, by `ids` of their runs; how busy the machine was meanwhile;
+    and biases, by pairs of techniques."""
 
     ids: list[str]
     times: list[Times]

@@ -31,7 +31,7 @@ def remarks(config: Config | None, result: FitResult, kind: str = "fitted") -> l
     **Arguments:**
 
     - `config`: none of a fit that was made in Python, whose remarks name Python's settings.
-    - `kind`: of the verdict. Where the references are not explained, it does not matter where the values ended or
+    - `kind`: kind of the verdict. Where the references are not explained, it does not matter where the values ended or
         why; nor where the start was the best.
     """
     if result.arrangement is None:

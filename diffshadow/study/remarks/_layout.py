@@ -13,7 +13,7 @@ def layout_remarks(
 ) -> Iterator[str]:
     """A sentence for each light and each remark of the layout of `technique`, if it has one.
 
-    **Arguments:** `keys`, `states`: of each light, and the technique's state for it.
+    **Arguments:** `keys`, `states`: the key of each light, and the technique's state for it.
     """
     if not isinstance(technique, shadow.ShadowMapping):
         return

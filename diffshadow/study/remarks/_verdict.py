@@ -27,7 +27,7 @@ class Change(NamedTuple):
     - `turn`: in words, such as `"flip the reference upside down"`; empty if it is as it should be.
     - `is_inverted`: whether light and shadow are exchanged.
     - `low`, `high`: the reference's values where rays see shadow and light.
-    - `rmse`: of the turned and inverted reference against rays.
+    - `rmse`: RMSE of the turned and inverted reference against rays.
     - `left`: the part of its variance that rays leave, whatever its `low` and `high`.
     """
 
@@ -43,7 +43,8 @@ class Unexplained(NamedTuple):
     """What a fit leaves of its references.
 
     - `rmse`: the fit's error over all images; `constant`: the least error of a constant image in place of each.
-    - `keys`: of the lights or views whose references are not of this scene in its fitted state; there may be none.
+    - `keys`: the keys of the lights or views whose references do not show this scene in its fitted state; there may be
+        none.
     - `by_rays`: the error of rays against the first of these; `given`: whether that was given as a file.
     - `change`: what makes the first of these a picture of the scene; none if nothing does, or it was traced.
     """
@@ -99,7 +100,7 @@ def verdict(
 def unexplained_verdict(config: Config | None, found: Unexplained, *, starts: int, moves: bool) -> Verdict:
     """The verdict of a fit that does not explain its references.
 
-    **Arguments:** `starts`: of the fit; `moves`: whether it moved lights, meshes or the camera.
+    **Arguments:** `starts`: number of starts of the fit; `moves`: whether it moved lights, meshes or the camera.
     """
     remedies = list(_remedies(config, found, starts, moves=moves))
     return Verdict(kind=UNEXPLAINED, sentence=_unexplained(found), remedies=remedies, constant_rmse=found.constant)

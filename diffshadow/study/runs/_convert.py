@@ -201,8 +201,8 @@ def _width(section: Mapping[str, Any]) -> float:
 _FITTED = ("three.js", "Babylon.js")
 _VALID = "valid for this light's map; with another window, size, near or far, convert again"
 _BESIDE = (
-    f"{' and '.join(ENGINES[name] for name in POLYGON_OFFSETS)} draw their maps with a polygon offset besides, so less "
-    "may do there: fit it with diffshadow advise --engine"
+    f"{' and '.join(ENGINES[name] for name in POLYGON_OFFSETS)} also draw their maps with a polygon offset, so a "
+    "smaller bias may do there: fit it with diffshadow advise --engine"
 )
 _ALONE = "bias.constant alone, without slope, plane, terms and normal offset"
 

@@ -93,7 +93,8 @@ class EngineFit(NamedTuple):
 
 
 def bias_of_a_texel(engine: Any, lit: Sequence[Lit]) -> float:
-    """The bias of three.js or Babylon.js that is a texel towards the light, of the light for which it is largest."""
+    """The bias of three.js or Babylon.js that moves receivers by one texel towards the light, for the light that needs
+    the largest."""
     if isinstance(engine, ThreeJs):
         return -max(each.depth_per_texel for each in lit)
     if any(each.is_point for each in lit):
@@ -104,7 +105,7 @@ def bias_of_a_texel(engine: Any, lit: Sequence[Lit]) -> float:
 
 
 def three_js(config: Config, lit: Sequence[Lit]) -> EngineFit:
-    """Of three.js, with its filter `PCFShadowMap`. Faces cast as in `config`."""
+    """The fit of three.js with its filter `PCFShadowMap`. The same faces cast as in `config`."""
     given, one = config.technique, bias_of_a_texel(ThreeJs(), lit)
     sides = (
         {"side": given.side, "shadow_side": given.shadow_side}
@@ -123,7 +124,7 @@ def three_js(config: Config, lit: Sequence[Lit]) -> EngineFit:
 
 
 def babylon_js(config: Config, lit: Sequence[Lit], kind: BabylonFilter | None = None) -> EngineFit:
-    """Of Babylon.js, with the filter `kind`, by default its `PCF`. Faces cast as in `config`."""
+    """The fit of Babylon.js with the filter `kind`, by default its `PCF`. The same faces cast as in `config`."""
     is_point = any(each.is_point for each in lit)
     # The engine draws PCF under a point light with the taps of POISSONSAMPLING.
     kind = kind or ("POISSONSAMPLING" if is_point else "PCF")
@@ -149,7 +150,8 @@ def babylon_js(config: Config, lit: Sequence[Lit], kind: BabylonFilter | None = 
 
 
 def engine_fit(name: EngineName, config: Config, lit: Sequence[Lit], kind: str | None = None) -> EngineFit:
-    """Of any engine that is drawn here, with the filter `kind`, by default the engine's. Faces cast as in `config`."""
+    """The fit of any engine that is drawn here, with the filter `kind`, by default the engine's default. The same faces
+    cast as in `config`."""
     if name == "three.js":
         return three_js(config, lit)
     if name == "babylon.js":

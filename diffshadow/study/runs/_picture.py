@@ -116,8 +116,8 @@ def shown(picture: Picture, encoding: str) -> Picture:
 class FittedPicture:
     """A finished fit to a picture.
 
-    - `name`: of the run; `config`: none of a fit that was made in Python.
-    - `truth`: of fitted numbers, by name, as far as it is known.
+    - `name`: name of the run; `config`: its configuration; none for a fit that was made in Python.
+    - `truth`: true values of fitted numbers, by name, as far as they are known.
     - `pictures`: the reference, and the picture before and after, in their `encoding`.
     - `placed`: the fitted scene.
     """

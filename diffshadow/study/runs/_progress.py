@@ -31,7 +31,7 @@ class Progress:
     `names_stages` prints a line for each stage, and for each phase of a fit, as it begins.
 
     - `seconds`: how long each finished stage took, by name, in order.
-    - `part`: of the work that has the stages, such as `"view 2 of 9"`; empty if there is one.
+    - `part`: the part of the work that has the stages, such as `"view 2 of 9"`; empty if there is only one.
     """
 
     def __init__(self, console: Console):
@@ -94,7 +94,7 @@ class Progress:
     def counted[T](self, name: str, items: Sequence[T]) -> Iterator[T]:
         """The items, one after another. The `part` is the number of each, with about how long it and the rest take.
 
-        **Arguments:** `name`: of an item.
+        **Arguments:** `name`: name of an item.
         """
         total, began = len(items), 0.0
         for number, item in enumerate(items, start=1):

@@ -32,7 +32,8 @@ def save_fit(result: fit.FitResult, folder: str | os.PathLike[str], *, names: Se
     - `result`: what `fit.fit` returned.
     - `folder`: such as `"runs/mine"`. Its last part is the run's name. An earlier run there is replaced once everything
         is written.
-    - `names`: of the problems, in their order, for tables and captions; `image 0`, `image 1` and so on if left out.
+    - `names`: names of the problems, in their order, for tables and captions; `image 0`, `image 1` and so on if left
+        out.
 
     **Returns** the folder.
 

@@ -32,7 +32,7 @@ from ._progress import Progress
 class SeenScene(NamedTuple):
     """A scene as its lights and the camera see it, before any ray is traced.
 
-    - `keys`: of the lights.
+    - `keys`: keys of the lights.
     - `lit`: the scene with each light alone; `states`: the technique's state for each.
     - `covered`: (h, w), for each light, the pixels that the technique covers.
     - `image`: (h, w), the reference, if it is read from a file.
@@ -239,7 +239,8 @@ def _traced(config: Config, scene: geometry.Scene, progress: Progress) -> refere
 def trace(
     scene: geometry.Scene, how: Mapping[str, Any], progress: Callable[[float], None] | None = None
 ) -> reference.Reference:
-    """What `reference.trace_visibility` finds with arguments `how`; read from disk if it was found before."""
+    """The reference that `reference.trace_visibility` traces with the arguments in `how`; read from disk if it was
+    traced before."""
 
     def find() -> dict[str, HostArray]:
         found = reference.trace_visibility(scene, **how, progress=progress)

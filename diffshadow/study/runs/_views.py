@@ -20,7 +20,7 @@ class DrawnView(NamedTuple):
     """A view, drawn.
 
     - `name`: what tells it from the others; empty for the configuration's own scene.
-    - `config`: none of a fit that was made in Python.
+    - `config`: its configuration; none for a fit that was made in Python.
     - `technique`: as it begins; none of a fit that was made in Python.
     - `drawn`: its scene, for each of its lights.
     """
@@ -83,7 +83,7 @@ def draw_views(config: Config, loaded: Loaded, technique: shadow.AbstractTechniq
 
     **Arguments:**
 
-    - `loaded`, `technique`: of `config`.
+    - `loaded`, `technique`: what `config` loads, and its technique.
 
     **Raises** `ConfigError` as `draw` does, for the first view that has a fault.
     """

@@ -90,8 +90,8 @@ class State(NamedTuple):
 class FittedRun:
     """A finished fit, with its images before and after.
 
-    - `name`: of the run; `config`: none of a fit that was made in Python.
-    - `truth`: of fitted poses, by name, as far as it is known.
+    - `name`: name of the run; `config`: its configuration; none for a fit that was made in Python.
+    - `truth`: true values of fitted poses, by name, as far as they are known.
     - `views`: all that the fit sees, and its validation; `drawn`: their true scenes.
     """
 
@@ -180,8 +180,8 @@ class FittedRun:
 
     @cached_property
     def pictures(self) -> list[Pictures]:
-        """The shaded pictures of views by the names of their arrays: of the worst, and of those whose ꟻLIP is measured.
-        Of the others there is none, nor where the scene is not known."""
+        """The shaded pictures of views by the names of their arrays: the worst views, and those whose ꟻLIP is measured.
+        Other views have no picture, nor have views whose scene is not known."""
         views = self.views
         if any(each.scene is None for each in self.drawn):
             return [{} for _ in views.all]
@@ -325,7 +325,7 @@ def states_of(
 
     **Arguments:**
 
-    - `problems`: of `drawn`: those that the fit has seen, and more for its validation.
+    - `problems`: the problems of `drawn`: those that the fit has seen, and more for its validation.
     """
     laid_out, states = [*result.problems, *problems[len(result.problems) :]], []
     end: Any = result.technique if result.arrangement is None else result.arrangement

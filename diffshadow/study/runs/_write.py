@@ -49,7 +49,7 @@ class Finished(Protocol):
 def write_run(folder: Path, finished: Finished, seconds: Mapping[str, float], verb: str = "fit") -> FolderRecord:
     """Writes the folder of a run: all of its files, or none. **Returns** its record.
 
-    **Arguments:** `seconds`: the times of its stages; `verb`: of the command that repeats it.
+    **Arguments:** `seconds`: the times of its stages; `verb`: the name of the command that repeats it.
     """
     config = finished.config
     about: dict[str, Any] = {"seconds": {name: round(s, 3) for name, s in seconds.items()}, "versions": versions()}

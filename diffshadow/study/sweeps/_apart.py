@@ -44,9 +44,9 @@ def work_apart(
 
     **Arguments:**
 
-    - `code`: of this package, where the sweep was started, as a `Code`.
+    - `code`: this package's `Code` where the sweep was started.
     - `pickled`: a `Batch`, and the hash of each of its input files by path.
-    - `contents`: of these files by hash.
+    - `contents`: the contents of these files by hash.
     - `references`: cached references by their keys; `missing`: the keys of others.
 
     **Returns** the runs, and the missing references that are cached now.

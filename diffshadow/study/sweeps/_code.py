@@ -24,7 +24,7 @@ _DIGITS = 12
 class Code(NamedTuple):
     """The code of the package.
 
-    - `version`: empty if it is not installed; `hash`: of its sources, empty if they are not found.
+    - `version`: empty if it is not installed; `hash`: hash of its sources, empty if they are not found.
     - `fault`: why it cannot be imported; empty if it can, or if that was not tried.
     """
 

@@ -106,7 +106,7 @@ def doing(
 
     **Arguments:**
 
-    - `kind`: of the folder's record: of a sweep, or of what is made of one.
+    - `kind`: the kind of the folder's record: a sweep, or what is made from one.
     - `pace`: says how long the runs take.
 
     **Yields** the tables, and the number of runs that were tried now. Until the end of the block, no other process can
@@ -154,7 +154,7 @@ def print_plan(console: Console, sweep: Sweep, limit: int | None = None, suffix:
 
     **Arguments:**
 
-    - `suffix`: of the folder's name.
+    - `suffix`: suffix of the folder's name.
     """
     folder = sweep.runs[0].config.output_folder / f"{sweep.name}{suffix}"
     axes = Table("axis", "values", "", title=table.words(sweep.name), title_justify="left")
