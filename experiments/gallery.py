@@ -131,7 +131,7 @@ SECTIONS: dict[str, tuple[Row, ...]] = {
             ("filter={type: pcf, radius: 2.5}", "bias={plane: {type: receiver_plane, deepening: 0}}"),
             "the plane never runs deeper than the receiver",
         ),
-        Row("Adaptive", ("bias={plane: {type: adaptive}}",), "with a single nearest look-up, as it is meant to be"),
+        Row("Adaptive", ("bias={plane: {type: adaptive}}",), "with a single nearest look-up, as intended"),
     ),
     "Filters of compares": (
         Row("Four taps", ("filter={type: four_tap}", "bias.slope=2"), ""),
