@@ -28,7 +28,8 @@ class Drawn(NamedTuple):
 
     @property
     def noise_floor(self) -> float | None:
-        """Noise floor of the reference, in visibility; `None` for a reference from a file, whose noise is unknown."""
+        """Noise floor of the reference, in visibility; `None` for a reference from a file, since its noise is
+        unknown."""
         return self.reference.noise_floor if self.reference.samples else None
 
     @property

@@ -101,7 +101,7 @@ class LightOptions(NamedTuple):
         return {name: value for name, value in self._asdict().items() if name != "light"}
 
     def completed(self, engine: EngineName) -> "LightOptions":
-        """With what the engine has for a directional light where options are left out."""
+        """The options with the engine's values for a directional light in place of options that are left out."""
         if self.light != "directional":
             return self
         usual = _USUAL[engine]
@@ -113,7 +113,7 @@ class LightOptions(NamedTuple):
         )
 
     def check(self, engine: EngineName) -> None:
-        """**Raises** `ValueError` for options that are missing, of another light, or out of their range."""
+        """**Raises** `ValueError` for options that are missing, belong to another light, or are out of their range."""
         needed, given, example = _NEEDED[self.light], self.given, _EXAMPLES[self.light]
         missing = [f"--{name}" for name in needed if given[name] is None]
         if missing:
@@ -134,7 +134,7 @@ class LightOptions(NamedTuple):
                 )
 
     def made(self) -> tuple[AbstractLight, float]:
-        """The light, and the distance at which settings hold, in world units."""
+        """The light, and the distance at which settings are valid, in world units."""
         depth, distance = self.depth or 0.0, self.distance or 1.0
         down, origin = (0.0, -1.0, 0.0), (0.0, 0.0, 0.0)
         if self.light == "directional":
@@ -161,7 +161,7 @@ def print_defaults(
     - `filter`, `radius`: a filter's type and its radius in texels. The filter's bias is printed as a part of a
         configuration.
     - `engine`: an engine whose settings are printed instead, for its default filter.
-    - `of_map`: the engine's light and map; for a directional light by default the engine's own.
+    - `of_map`: the engine's light and map; by default the engine's own directional light.
 
     **Raises** `ValueError` for a filter without a rule, and for options that do not go together.
     """

@@ -101,9 +101,10 @@ def write_shader_page(
 
     **Arguments:**
 
-    - `compared`: the setting that is shown beside it. If it gives the same shader, the page shows one picture.
+    - `compared`: the setting that is shown beside the scene's. If both settings give the same shader, the page shows
+        one picture.
 
-    **Returns** remarks on what the page shows otherwise than a render.
+    **Returns** remarks on how the page differs from a render.
     """
     shown = {compared.start: compared.config, compared.end: config}
     texts = {

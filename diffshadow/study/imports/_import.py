@@ -49,8 +49,8 @@ def import_scene(
     **Returns** the path of the configuration.
 
     **Raises** `FileError` for a file that cannot be read or written, or a configuration that exists already,
-    `ValueError` for a scene without meshes, or whose lights cast no shadows, and `ConfigError` for one that no
-    configuration can hold.
+    `ValueError` for a scene without meshes, or without a light that casts shadows, and `ConfigError` for a scene that
+    no configuration can describe.
     """
     file = Path(path)
     if file.is_dir():

@@ -114,8 +114,8 @@ def settings_of(
     shadow_type: ShadowType,
     remarks: list[str],
 ) -> dict[str, Any]:
-    """The configuration of `chosen`, with meshes in `files` and their `textures`. Adds to `remarks` what is
-    otherwise than in the scene.
+    """The configuration of `chosen`, with meshes in `files` and their `textures`. Adds to `remarks` what differs from
+    the scene.
 
     **Arguments:**
 

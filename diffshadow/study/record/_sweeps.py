@@ -10,8 +10,8 @@ from ._parts import Count, Fraction, Numbers, Part, Positive, Seconds, Single, a
 
 
 class ManyRuns(Part):
-    """What the records of sweeps and recommendations have. `runs`: how many there are; so many of them are `done` and
-    `failed`."""
+    """What the records of sweeps and recommendations have. `runs`, `done`, `failed`: the number of runs, of those that
+    are done, and of those that failed."""
 
     schema_version: Count = 0
     name: str = Field(min_length=1)
@@ -37,7 +37,7 @@ class Candidate(Part):
         texels.
     - `values`: the fitted numbers, by the key that sets them; `units`: the units of these numbers.
     - `rmse`, `false_shadow`, `false_light`: its errors over the validation, or over what the fit sees if there is none.
-    - `fit_rmse`: over what the fit sees.
+    - `fit_rmse`: RMSE over what the fit sees.
     - `map_ms`, `lookup_ms`: milliseconds to draw the maps of one view and to look them up.
     - `ratio`: its time, relative to the fastest candidate's; `spread`: how far it may be off, as a fraction of it.
     - `front`: whether no other candidate is faster with as small an error.
@@ -117,7 +117,7 @@ class Times(Part):
     """Times of a technique for one view with all its lights.
 
     - `map_ms`, `lookup_ms`: in milliseconds.
-    - `ratio`: its time over the fastest technique's.
+    - `ratio`: its time divided by the fastest technique's time.
     - `spread`: how far the ratio may be off to either side, as a fraction of it: half of the interval that contains the
         true median with a probability of 95 %.
     """
@@ -131,7 +131,7 @@ class Times(Part):
 class Load(Part):
     """How busy the machine was while techniques were timed.
 
-    - `others`: the part of all processors' time that other processes used; none if the system does not tell.
+    - `others`: the part of all processors' time that other processes used; none if the system does not report it.
     - `unevenness`: half of the interquartile range of the times of rounds, as a fraction of their median.
     """
 

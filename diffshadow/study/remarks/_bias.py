@@ -49,8 +49,8 @@ def bias_remarks(
     lit: Sequence[Scene],
     states: Sequence[Any],
 ) -> Iterator[str]:
-    """A sentence for each light under which casters lose much of their shadow, because the bias moves what they shadow
-    past them.
+    """A sentence for each light under which casters lose much of their shadow, because the bias moves the shadowed
+    surfaces in front of the casters.
 
     **Arguments:**
 

@@ -20,13 +20,13 @@ _NO_MOVE = 1e-5
 
 
 def what_is_fitted(result: FitResult) -> str:
-    """What a fit is compared by, in words: an image of visibility, or a picture."""
+    """What a fit compares, in words: an image of visibility, or a picture."""
     return "picture" if any(isinstance(problem, PictureProblem) for problem in result.problems) else "image"
 
 
 def late_fall(losses: Sequence[float]) -> tuple[float, int] | None:
-    """The relative decrease of the loss of a phase in the last quarter of its steps, and the number of these steps;
-    none for fewer than two steps."""
+    """By which fraction a phase's loss fell in the last quarter of its steps, and the number of these steps; none if
+    there are fewer than two steps."""
     if len(losses) < 2:
         return None
     late = max(len(losses) // 4, 1)
@@ -47,7 +47,7 @@ def is_nearly_done(result: FitResult, phase: int) -> bool:
 
 
 def last_phase(result: FitResult) -> tuple[Outcome, int] | None:
-    """The phase that gave the result, or the last one where the start was better than all; none without phases."""
+    """The phase that gave the result, or the last phase if the start was better than all; none without phases."""
     if not result.phases:
         return None
     number = result.chosen if result.chosen >= 0 else len(result.phases) - 1

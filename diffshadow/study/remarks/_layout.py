@@ -23,7 +23,7 @@ def layout_remarks(
 
 
 def frames_remarks(frames: Sequence[Config]) -> Iterator[str]:
-    """A sentence if stabilized cascades are not stable from one of `frames` to the next, although they could be."""
+    """Warns if stabilized cascades are not stable from one of `frames` to the next, although they could be."""
     first = frames[0]
     technique, camera = first.technique, first.scene.camera
     if not (isinstance(technique, Cascades) and technique.stabilize) or technique.depths == "surface":

@@ -28,7 +28,7 @@ class Change(NamedTuple):
     - `is_inverted`: whether light and shadow are exchanged.
     - `low`, `high`: the reference's values where rays see shadow and light.
     - `rmse`: RMSE of the turned and inverted reference against rays.
-    - `left`: the part of its variance that rays leave, whatever its `low` and `high`.
+    - `left`: the part of its variance that rays do not explain, whatever its `low` and `high`.
     """
 
     turn: str
@@ -40,13 +40,14 @@ class Change(NamedTuple):
 
 
 class Unexplained(NamedTuple):
-    """What a fit leaves of its references.
+    """How much of its references a fit does not explain.
 
-    - `rmse`: the fit's error over all images; `constant`: the least error of a constant image in place of each.
+    - `rmse`: the fit's error over all images; `constant`: the least error that constant images have.
     - `keys`: the keys of the lights or views whose references do not show this scene in its fitted state; there may be
         none.
-    - `by_rays`: the error of rays against the first of these; `given`: whether that was given as a file.
-    - `change`: what makes the first of these a picture of the scene; none if nothing does, or it was traced.
+    - `by_rays`: the error of rays against the first of these references; `given`: whether this reference is a file.
+    - `change`: the change that makes the first of these references a picture of the scene; none if no change does, or
+        the reference was traced.
     """
 
     rmse: float
@@ -64,7 +65,7 @@ def verdict(
 
     **Arguments:**
 
-    - `config`: none of a fit that was made in Python, whose remedies name Python's settings.
+    - `config`: the configuration; none for a fit that was made in Python, whose remedies name Python's settings.
     - `before`, `after`: the RMSE before and after the fit.
     - `found`: what the fit leaves unexplained.
     """
@@ -206,7 +207,7 @@ def _listed(names: Sequence[str], what: str = "parameters") -> str:
 def shape_verdict(result: FittedShape, measured: ShapeMetrics) -> Verdict:
     """The verdict of a fit of a shape.
 
-    **Arguments:** `measured`: how close it is.
+    **Arguments:** `measured`: how close the shape's shadows are to their targets.
     """
     overlap = f"{np.mean([light.rays for light in measured.lights]):.1%}"
     if result.chosen < 0:

@@ -78,7 +78,7 @@ def convert(
     - `fits`: whether engines that lack the bias are fitted.
     - `engine`: the only engine to convert to. Its finished code is printed instead of a table.
 
-    **Raises** `ConfigError` for a technique or a light that has none of these.
+    **Raises** `ConfigError` for a technique or a light without a bias or radius to convert.
     """
     if not isinstance(config.technique, SingleMap | Engine):
         *names, last = ENGINE_TECHNIQUES

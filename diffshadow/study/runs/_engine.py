@@ -29,8 +29,8 @@ FACES: dict[str, str] = {"double": "both sides of faces cast", "front": "front f
 
 
 class Lit(NamedTuple):
-    """One light's key, and what a receiver in the middle of its receivers is: a texel's width in world units and in
-    window depth, and the distance along the light's axis."""
+    """One light's key, and values for the median receiver: a texel's width in world units and in window depth, and the
+    distance along the light's axis."""
 
     key: tuple[str | int, ...]
     scene: Scene
@@ -52,9 +52,9 @@ class Lit(NamedTuple):
 
 
 def lit_by(config: Config, progress: Progress) -> list[Lit]:
-    """Each light of `config` and the median over its receivers.
+    """Each light of `config`, with the median over its receivers.
 
-    **Raises** `ConfigError` if one lights nothing that the camera sees, or no engine has it.
+    **Raises** `ConfigError` if a light reaches nothing that the camera sees, or no engine has such a light.
     """
     whole = load(config, progress).scene
     # The light's own map: neither bias nor filter changes the size of its texels.
@@ -233,7 +233,8 @@ def _distances(drawn: Drawn) -> tuple[float, float]:
 
 
 def along(light: AbstractLight, points: VectorMap) -> Float32[HostArray, "h w"]:
-    """The distance of `points` (h, w, 3) along the axis of the light, or of its face of a point light's map."""
+    """The distance of `points` (h, w, 3) along the light's axis; for a point light, along the axis of the face of its
+    map."""
     if isinstance(light, PointLight):
         return np.asarray(abs(points - light.position).max(axis=-1))
     return np.asarray(light.view().distance(points))

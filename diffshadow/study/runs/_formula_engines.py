@@ -43,9 +43,9 @@ class Filter(NamedTuple):
 class Engine(NamedTuple):
     """An engine.
 
-    - `filters`: what it has; `bias`, `offset`: its names of a constant bias and of a normal offset.
+    - `filters`: the engine's filters; `bias`, `offset`: its names of a constant bias and of a normal offset.
     - `suffix`: suffix of a file in its language; `comment`: how a comment begins there.
-    - `write`: its code, of the values by name, the filter, the radius, the map's size and the light's kind.
+    - `write`: makes its code from the values by name, the filter, the radius, the map's size and the light's kind.
     """
 
     filters: tuple[Filter, ...]
@@ -170,8 +170,8 @@ FORMULA_ENGINES: dict[EngineName, Engine] = {
 
 
 def offered(name: EngineName, lit: list[Lit], size: tuple[int, int]) -> dict[str, list[dict[str, Any]]]:
-    """The lists of the section `advise` for an engine: the biases that it has under all lights `lit`, whose maps have
-    at least `size` (height, width) texels, and its filters.
+    """The lists of the section `advise` for an engine: its filters, and the biases that it has under all lights `lit`.
+    Their maps have at least `size` (height, width) texels.
 
     **Raises** `ValueError` if the engine has no shadows of one of the lights.
     """
@@ -230,7 +230,7 @@ def _names(name: EngineName, lit: Lit, size: tuple[int, int]) -> set[str]:
 
 
 def code_of_formula(name: EngineName, config: Config, filter_label: str, lit: Lit) -> str:
-    """The code that sets the values of `config` for one light, with comments on where they hold."""
+    """The code that sets the values of `config` for one light, with comments on where the values are valid."""
     engine, light = FORMULA_ENGINES[name], lit.scene.light
     chosen = next(each for each in engine.filters if each.label == filter_label)
     height, width = config.shadow_map.resolution

@@ -38,7 +38,7 @@ def save_fit(result: fit.FitResult, folder: str | os.PathLike[str], *, names: Se
     **Returns** the folder.
 
     **Raises** `FileError` if the folder cannot be written, or holds something other than a run; `ValueError` if the
-    problems have images of several sizes, or there are not as many different names as problems; and `TypeError` for
+    problems have images of several sizes, or unless there is a different name for each problem; and `TypeError` for
     problems of a user's own kind.
     """
     check_instance("what to save", result, fit.FitResult, "a FitResult, which fit.fit returns")
