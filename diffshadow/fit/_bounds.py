@@ -31,7 +31,8 @@ class AtBound(NamedTuple):
 
 
 def at_bounds(run: Run, parameters: Sequence[Parameter], values: Values) -> list[AtBound]:
-    """The parameters that `values` has on a bound. The error is evaluated there and further inside for each of them.
+    """The parameters whose values lie on a bound. The error is evaluated at the bound and further inside, for each
+    parameter.
 
     **Arguments:** `values`: counted from the parameters' offsets.
     """

@@ -49,8 +49,8 @@ class FitResult:
     - `starts`: how each of several starts went; `phases` and `initial` belong to the best.
     - `enlargements`: how often a phase was repeated with memory for more silhouettes.
     - `profiles`: the parameters' error profiles around the best values, if intervals were requested.
-    - `best`: the values of the least error, by name. They differ from `fitted` only if `Sureness.prefer` is given.
-    - `front`: the front of false shadow against false light, if asked for.
+    - `best`: the values with the least error, by name. They differ from `fitted` only if `Sureness.prefer` is given.
+    - `front`: the front of false shadow against false light, if requested.
     - `at_bounds`: the fitted values that ended on a bound, and whether the error still falls there.
     - `errors`: the square roots of the loss under the hard compare, at the start and at the best values; 0 if a loss of
         your own is negative.
@@ -135,7 +135,7 @@ def fit(
         stacked.
     - `parameters`: the fitted numbers with their bounds.
     - `solver`: a `Solver`, or any least-squares solver or minimiser of optimistix, such as `optimistix.BFGS(1e-4,
-        1e-6)`. `Solver(method=...)` gives the latter another number of steps.
+        1e-6)`. Wrap it in `Solver(method=...)` for another number of steps.
     - `anneal`: how the compare hardens. A fit of poses anneals in its last phases if it also fits a bias.
     - `loss`: a loss of the errors of several problems; by default the mean over all pixels. Or a function of three
         images (h, w), predicted, reference and mask (whether each pixel counts), that returns an array of residuals,
@@ -148,7 +148,8 @@ def fit(
     - `on_step`: called with every evaluation of the loss, while the fit runs; also with evaluations of a phase that is
         then repeated with memory for more silhouettes. An error in `on_step` ends the fit, and `fit` raises this error.
     - `progress`: called with the current stage of the fit, as text, and with the finished fraction, or `None` if the
-        fraction is not known. If neither of these two is given, `diffshadow.setup` decides whether a line shows it.
+        fraction is not known. If neither `progress` nor `on_step` is given, `diffshadow.setup` decides whether a line
+        shows the progress.
 
     **Raises** `ValueError` if there are no parameters, one does not exist, is named twice or has bounds that the
     technique does not allow, another argument is out of its range, no pixel counts, the visibility is not finite or the
@@ -256,7 +257,7 @@ def _check_parameters(parameters: Any) -> None:
 def check_loss(loss: LossFunction, solver: Solver, shape: tuple[int, int]) -> None:
     """Checks a loss of one's own for images of this `shape`, (height, width), as `fit` does.
 
-    **Raises** `TypeError` unless it returns what a loss returns; `ValueError` if that is a number, and the solver needs
+    **Raises** `TypeError` unless it returns a valid loss; `ValueError` if it returns a number and the solver needs
     residuals.
     """
     own = OwnLoss.of(loss, [shape])

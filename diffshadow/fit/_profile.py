@@ -104,7 +104,8 @@ class Profiler:
         )
 
     def preferred(self, order: Sequence[tuple[str, Bound]], within: float) -> Trial:
-        """The trial that goes furthest towards the sides in `order`, with an error of at most `1 + within` of the best.
+        """The trial that goes furthest towards the sides in `order`, with an error of at most `1 + within` times the
+        best.
 
         The first parameter goes as far as it can; the next as far as it then can, and so on.
         """

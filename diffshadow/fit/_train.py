@@ -34,7 +34,7 @@ class TrainingPhase(NamedTuple):
     """How a phase of a training ended.
 
     - `width`: width of its soft compare, in texels; `steps`: steps of the solver.
-    - `loss`: the mean square error under that compare; `hard_loss`: under the hard one.
+    - `loss`: the mean square error under the soft compare; `hard_loss`: under the hard compare.
     """
 
     width: float
@@ -80,9 +80,10 @@ def train(
         floating-point arrays are trained. Calls with the same function share their compiled programs.
     - `lower`: the least value of the trained numbers, minus infinity for no limit. A number, or a tree of numbers with
         the structure of the result of `where` or of its upper part.
-    - `solver`, `anneal`: defaults if left out. Levenberg-Marquardt and dogleg compute a derivative for each number and
-        pixel, which suits some tens of numbers. The other solvers compute the loss' gradient in reverse mode.
-    - `on_phase`: called after each phase. Left out, `diffshadow.setup` decides whether a line shows them.
+    - `solver`, `anneal`: the solver and how the compare hardens; defaults if left out. Levenberg-Marquardt and dogleg
+        compute a derivative for each number and pixel, which suits some tens of numbers. The other solvers compute the
+        loss' gradient in reverse mode.
+    - `on_phase`: called after each phase. If left out, `diffshadow.setup` decides whether a line shows the steps.
 
     **Raises** `ValueError` if there is no view, no pixel of a view counts, nothing is selected, or a number starts
     below its least value.

@@ -68,9 +68,9 @@ class Inside(NamedTuple):
 
 
 def ground_of(corners: Corners) -> Ground | None:
-    """The level ground that everything else of a scene stands on; none if the scene has none.
+    """The level ground that everything else in a scene rests on; none if there is no such ground.
 
-    The bottom of an object is no ground: what stands on a ground covers less than the ground does.
+    The bottom of an object is not a ground: objects cover less area than the ground that they rest on.
     """
     size = _size(corners)
     bottom, level = _level_at_bottom(corners)
@@ -92,7 +92,8 @@ def ground_of(corners: Corners) -> Ground | None:
 
 
 def height_field_of(corners: Corners) -> Ground | None:
-    """The surface that everything else of a scene stands on, such as a terrain with trees; none if there is none.
+    """The surface that everything else in a scene rests on, such as a terrain with trees; none if there is no such
+    surface.
 
     It is one connected surface that covers the scene's outline once. A closed object covers its own outline twice.
     """
@@ -161,12 +162,12 @@ def up_of(corners: Corners, is_y_up_format: bool) -> Literal["y", "z"]:
 
 
 def stands_on_z(corners: Corners) -> bool:
-    """Whether an object has a flat foot across z, and a much smaller one or none across y."""
+    """Whether an object has a flat foot across z, and across y a much smaller foot or none."""
     return _foot(y_up(corners)) > max(_FOOT, _MORE * _foot(corners))
 
 
 def y_up(vectors: Float[HostArray, "*n 3"]) -> Float[HostArray, "*n 3"]:
-    """Points or directions of a world with `+z` up in one with `+y` up, by a quarter turn about x."""
+    """Converts points or directions from a world with `+z` up to a world with `+y` up, by a quarter turn about x."""
     return np.stack([vectors[..., 0], vectors[..., 2], -vectors[..., 1]], axis=-1)
 
 

@@ -80,11 +80,11 @@ def sphere(radius: Number = 0.5, subdivisions: int = 4) -> Mesh:
 
 
 def low_poly_sphere(radius: Number = 0.5, subdivisions: int = 1, smooth: bool = True) -> Mesh:
-    """A sphere of few triangles (80), whose shading normals disagree with its facets near the terminator.
+    """A sphere with only 80 triangles, whose shading normals disagree with its facets near the terminator.
 
     **Arguments:**
 
-    - `radius`: world units, of the sphere through its vertices.
+    - `radius`: radius of the sphere through its vertices, world units.
     - `subdivisions`: it has 20 · 4^`subdivisions` triangles.
     - `smooth`: whether it has smooth shading normals.
     """
@@ -183,7 +183,8 @@ def chair(height: Number = 1.0, spindles: int = 5, sides: int = 24) -> Mesh:
 
     - `height`: height of the whole chair, world units. The chair is half as wide.
     - `spindles`: number of spindles in the back. They are flat, and wider towards the top.
-    - `sides`: around each leg and spindle; the seat has four times as many. The chair has 14,256 triangles by default.
+    - `sides`: number of sides around each leg and spindle; the seat has four times as many. The chair has 14,256
+        triangles by default.
     """
     _check_positive("chair", height=height)
     _check_count("chair", 0, _MAX_SPINDLES, spindles=spindles)

@@ -149,7 +149,7 @@ class Mesh(eqx.Module):
         - `crease_angle`: degrees; edges bent by more are shaded sharp (`crease_normals`). `None` for the object's own
             `vertex_normals`.
 
-        **Warns** of geometries of a scene that have no faces, such as paths, which are left out.
+        **Warns** about geometries of a scene without faces, such as paths, which are left out.
 
         **Raises** `ValueError` if there are no triangles, an array has a wrong shape, an index is out of range, a
         vertex is not finite, or normals are asked for and missing.
@@ -235,7 +235,7 @@ MeshLike = Mesh | Triangles | TriangleScene
 
 
 def meshes_of(given: Triangles | TriangleScene, crease_angle: float | int | None = 30.0) -> list[Mesh]:
-    """As `Mesh.from_trimesh`, with a mesh for each node of a scene."""
+    """Like `Mesh.from_trimesh`, but with a mesh for each node of a scene."""
     return [
         Mesh(part.vertices, part.faces, part.normals, part.albedo, part.corner_colours, part.textures)
         for part in parts_of(given, crease_angle)

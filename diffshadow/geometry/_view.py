@@ -31,7 +31,8 @@ class View(eqx.Module):
     - `tile`: for a parallel view: the part of a virtual map that each layer shows. The projection covers the whole
         virtual map. `None` if a map shows the whole window. A virtual map that is smaller than its layer ends within
         the layer.
-    - `pages`: the pages of a virtual map that the layers show; `tile` is theirs. `None` for a map without pages.
+    - `pages`: the pages of a virtual map that the layers show; `tile` then belongs to the pages. `None` for a map
+        without pages.
     """
 
     world_to_eye: Float[Array, "*l 4 4"]

@@ -46,7 +46,7 @@ class Material(NamedTuple):
 
     - `factor`: its diffuse colour, linear.
     - `texture`: texture of its base colour and opacity; none if there is none that can be read.
-    - `scale`, `offset`: what texture coordinates are multiplied by, and what is added then.
+    - `scale`, `offset`: what texture coordinates are multiplied by, and what is then added.
     """
 
     factor: tuple[float, float, float] = (1.0, 1.0, 1.0)
@@ -135,7 +135,7 @@ class Materials:
 
 
 def files_of_materials(named: Iterable[str], folder: Path) -> list[Path]:
-    """The MTL files that an OBJ file names and the images that these name, as far as there are such."""
+    """The MTL files that an OBJ file names and the images that these name, if they exist."""
     files = [file for _, file in _files(named, folder) if file is not None]
     entries = [entry for file in files for entry in _read(file.content).values()]
     maps = [each for entry in entries for each in (entry.colour_map, entry.opacity_map) if each is not None]

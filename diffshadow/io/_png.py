@@ -37,10 +37,9 @@ class _Samples(NamedTuple):
 
 
 def read_png(file: Path, merge: Merge = mean_colour, curves: Sequence[str | None] = (None,)) -> Pixels:
-    """Reads an image from 0 to 1 as it is stored: the mean of its colours, or what `merge` makes of them. Alpha is
-    ignored.
+    """Reads an image from 0 to 1 as it is stored: the mean of its colours, or the result of `merge`. Alpha is ignored.
 
-    **Arguments:** `curves`: the encodings that are no cause for a remark.
+    **Arguments:** `curves`: the encodings that need no remark.
 
     **Raises** `FileError` for an animation, or too many pixels, and other errors if the file is damaged.
     """

@@ -196,7 +196,8 @@ Screen = Literal["facing", "below"]
 
 
 class Shape(Settings):
-    """A fit of all vertices of a mesh to its shadows on screens, one behind it for each light."""
+    """A fit of all vertices of a mesh to its shadows on screens. For each light there is one screen, behind the
+    mesh."""
 
     screen: Annotated[
         Screen, "surfaces that shadows fall on: screens that face their lights, or a level screen below"

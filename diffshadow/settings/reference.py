@@ -45,7 +45,7 @@ class TracedReference(Reference):
 
 
 class PictureReference(Reference):
-    """A picture of the shaded scene, to which a fit brings camera, lights, meshes and colours."""
+    """A picture of the shaded scene. A fit finds the camera, lights, meshes and colours that reproduce it."""
 
     type: Literal["picture"] = "picture"
     path: Annotated[

@@ -177,7 +177,7 @@ def _welded(mesh: geometry.Mesh) -> geometry.Mesh:
 
 
 def build_free(config: Config, start: geometry.Mesh) -> Bool[HostArray, " v"]:
-    """Which vertices (v,) of the mesh that a fit starts from move.
+    """Which vertices (v,) move, of the mesh that a fit starts from.
 
     **Raises** `ConfigError` if none does.
     """

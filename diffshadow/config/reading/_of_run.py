@@ -28,7 +28,7 @@ _COPY = "copy config.yaml to another folder, set the values of result.json in it
 class SettingsFile(NamedTuple):
     """A configuration's file.
 
-    - `origin`: where its values come from, as a part of a sentence.
+    - `origin`: where the configuration's values come from, as a part of a sentence.
     """
 
     path: Path
@@ -69,7 +69,7 @@ def settings_file(path: str | os.PathLike[str], *, sweep: bool = False) -> Setti
 
 
 def with_fitted(config: Config, values: Mapping[str, float], source: str = "the fitted configuration") -> Config:
-    """`config` with these numbers, by their keys, as values and as the start of its fit, and with the layout of the
+    """`config` with these numbers, by their keys, as its values and as the start of its fit. It has the layout of the
     fit.
 
     `source` is the name of the configuration in errors.

@@ -53,10 +53,10 @@ def add_plugins(data: Mapping[str, Any], origin: Origin, folder: Path, *, needed
 
     - `folder`: folder of the configuration. Modules are imported from there, from the current folder and from wherever
         Python finds them.
-    - `needed`: whether their modules are. The settings of a finished run can be read without: then its keys and values
-        stand in for the fields of a class whose module is not found.
+    - `needed`: whether their modules are. The settings of a finished run can be read without the modules: the stored
+        keys and values then replace the fields of a class whose module is not found.
 
-    **Returns** a mistake for each that cannot be used.
+    **Returns** a mistake for each class that cannot be used.
     """
     mistakes = []
     for path in _KINDS:

@@ -59,14 +59,15 @@ class LightOrbit(Section):
 
 
 class ShadowCamera(Section, scene.ShadowCamera):
-    """The camera that a directional light's map is drawn with, by the names and defaults of three.js: a parallel one at
-    `position`, which looks along the light with +y up."""
+    """The camera that a directional light's map is drawn with, by the names and defaults of three.js: a parallel camera
+    at `position` that looks along the light, with +y up."""
 
     position: Annotated[Position, "where near, far and the window are measured from, in world units"]
 
 
 class AnyLightConfig(Section, scene.Light):
-    """A light. `moving` are its numbers that can be fitted, by key; each has its path in the light's pose."""
+    """A light. `moving`: the numbers of the section that can be fitted, by key, each with its path in the light's
+    pose."""
 
     moving: ClassVar[Mapping[str, Setting]] = {}
 

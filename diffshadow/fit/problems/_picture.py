@@ -91,7 +91,7 @@ class PictureProblem(ArrangedProblem):
         - `encoding`: encoding of the picture; `exposure`: by how many stops the drawn picture is brightened.
         - `arrangement`: the start, with its own shading and exposure; by default all values of the scene.
         - `surface`: the surface that the camera sees, if neither the camera nor meshes move and no mesh changes its
-            colour. Left out, it is drawn again at every step.
+            colour. If left out, the surface is drawn again at every step.
         - `points`: `shadow_points`; chosen by the width of a texel if left out.
 
         **Raises** `ValueError` for a picture of another size, or that is not finite where it counts.
@@ -128,7 +128,7 @@ class PictureProblem(ArrangedProblem):
         return jnp.broadcast_to(jnp.sum(self.weight), 3)
 
     def difference(self, subject: Arrangement) -> Float[Array, "3 h w"]:
-        """Each channel of the picture less the reference's, times the square root of the pixel's weight."""
+        """Each channel of the picture minus the reference's channel, times the square root of the pixel's weight."""
         return weighted_difference(_channels(self.picture(subject)), _channels(self.reference), self.weight)
 
     def difference_and_overflow(self, subject: Arrangement) -> tuple[Float[Array, "3 h w"], Overflow | None]:
@@ -145,7 +145,7 @@ class PictureProblem(ArrangedProblem):
         return Seen.of(image, _channels(self.reference), mask), _overflow(maps, seen)
 
     def picture(self, arrangement: Arrangement) -> Float[Array, "h w 3"]:
-        """The picture of an arrangement, encoded as the reference.
+        """The picture of an arrangement, encoded like the reference.
 
         **Raises** a runtime error if there are more outlines or silhouettes than `planned` has memory for.
         """

@@ -82,8 +82,8 @@ class PoseProblem(ArrangedProblem):
             rays ignore the cone of a spot light.
         - `light`: which of the scene's lights.
         - `arrangement`: the start; by default `technique` with the lights and meshes of the scene.
-        - `surface`: the surface that the camera sees, if no visible mesh moves. Left out, it is drawn again at every
-            step.
+        - `surface`: the surface that the camera sees, if no visible mesh moves. If left out, the surface is drawn again
+            at every step.
         - `points`: `shadow_points`; chosen by the width of a texel if left out.
         """
         lit = scene.lit_by(light)
@@ -114,7 +114,7 @@ class PoseProblem(ArrangedProblem):
         return _mean_over(points, visibility, shadow_map.light)
 
     def difference(self, subject: Arrangement) -> Float[Array, "h w"]:
-        """Visibility less reference, times the square root of the pixel's weight."""
+        """Visibility minus reference, times the square root of the pixel's weight."""
         return self._difference(subject, *self.draw(subject))
 
     def difference_and_overflow(self, subject: Arrangement) -> tuple[Float[Array, "h w"], Overflow | None]:

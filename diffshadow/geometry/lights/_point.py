@@ -33,8 +33,8 @@ _FACES = np.stack([np.cross(_FORWARD, _UPRIGHT), _UPRIGHT, -_FORWARD], axis=1)
 class PointLight(AbstractLight):
     """Light from a point, or from a sphere, in all directions. Its shadow map is a cube's six faces.
 
-    The faces look along +x, -x, +y, -y, +z and -z. Each is drawn a little wider than its 90 degrees, so that filter
-    taps across an edge of the cube stay in the face's own map, and no seams show. This works for taps within
+    The faces look along +x, -x, +y, -y, +z and -z. Each face is drawn a little wider than its 90 degrees, so that
+    filter taps across an edge of the cube stay in the face's own map, and no seams show. This works for taps within
     `guard_texels` of the receiver's texel position. The filter's radius may be that large, minus half a texel for
     bilinear taps and minus a normal offset. Taps farther out reach the map's border, where everything is lit.
 

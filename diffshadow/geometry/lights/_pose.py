@@ -13,7 +13,8 @@ class LightPose(eqx.Module):
 
     - `position`: position of a light at a finite distance, world units.
     - `azimuth`, `elevation`: the direction that a directional or spot light comes from, along its axis, in degrees:
-        azimuth 0 is +z and 90 is +x, elevation 90 is straight above. An elevation of more than 90 is beyond the pole.
+        azimuth 0 is +z and 90 is +x, elevation 90 is straight above. An elevation of more than 90 degrees is beyond the
+        pole.
     - `radius`: a directional light's `angular_radius` in degrees, a spot or a point light's `radius` in world units.
     """
 
