@@ -255,7 +255,7 @@ def _check_parameters(parameters: Any) -> None:
 
 
 def check_loss(loss: LossFunction, solver: Solver, shape: tuple[int, int]) -> None:
-    """Checks a loss of one's own for images of this `shape`, (height, width), as `fit` does.
+    """Checks your own loss for images of this `shape`, (height, width), as `fit` does.
 
     **Raises** `TypeError` unless it returns a valid loss; `ValueError` if it returns a number and the solver needs
     residuals.

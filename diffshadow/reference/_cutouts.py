@@ -47,7 +47,7 @@ class Cutouts:
 def barycentrics_of(
     position: Float64[HostArray, "n 3"], corners: Float64[HostArray, "n 3 3"]
 ) -> Float64[HostArray, "n 3"]:
-    """The barycentric coordinates of points in the planes of triangles; 1/3 each for one without area."""
+    """The barycentric coordinates of points in the planes of triangles; 1/3 each for a triangle without area."""
     a, b, c = np.moveaxis(corners, 1, 0)
     normal = np.cross(b - a, c - a)
     squared = np.sum(normal * normal, axis=1)

@@ -84,7 +84,7 @@ def reference_from_image(visibility: Any, scene: Scene) -> Reference:
 
     **Arguments:**
 
-    - `visibility`: (h, w), in [0, 1], row 0 at the bottom; h and w are the camera's resolution.
+    - `visibility`: (h, w), values in [0, 1], row 0 at the bottom; h and w are the camera's resolution.
 
     **Returns:** a `Reference` with `samples` 0 and `standard_error` 0.
 

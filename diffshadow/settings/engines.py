@@ -68,9 +68,9 @@ class Engine(Technique):
     """The shadows of an engine. Its map has the resolution of the section shadow_map; filter, bias and compare are the
     engine's own.
 
-    - `biases`: the keys of its depth bias and its normal bias, and `bias_names` what the engine calls them.
-    - `filter_key`: the key that chooses its filter, and `filters` those that are fitted, of directional and spot lights
-        and of point lights.
+    - `biases`: the keys of its depth bias and its normal bias; `bias_names`: the engine's names of these.
+    - `filter_key`: the key that chooses its filter; `filters`: the filters that are fitted, for directional and spot
+        lights and for point lights.
     - `kinds`: the kinds of lights that it draws.
     - `has_square_maps`: whether the maps of all lights must be square.
     - `default_size`: the default size of its maps, texels along a side.

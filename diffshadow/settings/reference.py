@@ -40,7 +40,7 @@ class TracedReference(Reference):
     ] = 1
 
     def how(self, seed: int) -> dict[str, Any]:
-        """The arguments of `reference.trace_visibility` besides the scene."""
+        """The arguments of `reference.trace_visibility`, without the scene."""
         return {**{key: getattr(self, key) for key in self.each() if key != "type"}, "seed": seed}
 
 
@@ -67,7 +67,7 @@ class PictureReference(Reference):
     ] = 4
 
     def how(self, seed: int) -> dict[str, Any]:
-        """The arguments of `reference.trace_visibility`, besides the scene, for a run that compares visibility."""
+        """The arguments of `reference.trace_visibility`, without the scene, for a run that compares visibility."""
         return {"samples": self.samples, "seed": seed}
 
 

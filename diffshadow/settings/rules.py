@@ -20,7 +20,8 @@ class Worth(NamedTuple):
     """What a bias is worth over some scenes.
 
     - `price`: its error divided by the error of the best bias for the scene; the mean over scenes.
-    - `acne`, `leaks`: the shares of scenes where more than a thousandth of the light is wrongly missing, or there.
+    - `acne`, `leaks`: the shares of scenes where more than a thousandth of the light is wrongly missing, or wrongly
+        present.
     """
 
     price: float
@@ -39,8 +40,8 @@ class Numbers(NamedTuple):
 class Rule(NamedTuple):
     """A bias for any scene.
 
-    - `own`: what it is worth in the scenes that it was searched for in; `worth`: what rules are worth in scenes of a
-      kind that they were not searched for in, and `maps`: their price there by the side of the map in texels.
+    - `own`: its worth in the scenes in which it was searched; `worth`: the worth of rules in kinds of scenes in which
+        they were not searched; `maps`: their price there, by the map's side in texels.
     """
 
     bias: Numbers
@@ -50,10 +51,10 @@ class Rule(NamedTuple):
 
 
 class EngineRule(NamedTuple):
-    """A bias for an engine's default filter, and what the engine ships.
+    """A bias for an engine's default filter, and the engine's own default bias.
 
-    - `constant`, `normal_offset`: in texels, the offset with the engine's own profile.
-    - `shipped`: what the engine's own default is worth. Bevy's and Filament's biases are lengths: their worth is in
+    - `constant`, `normal_offset`: biases in texels; the offset has the engine's own profile.
+    - `shipped`: the worth of the engine's own default. Bevy's and Filament's biases are lengths: their worth is in
         scenes whose unit is a metre.
     """
 
@@ -156,13 +157,14 @@ def measured_of(kind: type[Any]) -> list[Measured]:
 
 def bias_of(kind: type[Any], reach: float, *, plane: bool = False, across: float = math.inf) -> Numbers:
     """The bias for a kind of filter that reads the map as far as `reach` texels from the receiver, beside a bias from
-    the receiver's plane if there is a `plane`. Beside a plane, filters that take no compares one by one have none.
+    the receiver's plane if there is a `plane`. With a plane, filters that do not take compares one by one have no other
+    bias.
 
     It is the filter's own rule where one was measured, else the rule of a box with the same reach. Between two reaches
     that were measured, it is interpolated. Beyond the widest, the slope bias grows as in the formula for any filter.
 
-    **Arguments:** `across`: how many texels a typical caster has across, if it is known: the constant is at most
-    `PART` of that, or of the kernel's width.
+    **Arguments:** `across`: how many texels a typical caster is wide, if known. The constant is at most `PART` of this
+    width, or of the kernel's width.
     """
     bias = _bias_of(kind, reach, plane=plane)
     return bias._replace(constant=min(bias.constant, round(PART * max(across, 2 * reach), _DIGITS)))

@@ -45,7 +45,7 @@ class Cutout(Settings):
 
 
 class Camera(Settings):
-    """What an image is seen from."""
+    """The camera that an image is seen from."""
 
     type: Any
     resolution: Annotated[Size, Unit("pixels"), "[height, width] in pixels"] = (512, 512)

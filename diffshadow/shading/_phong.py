@@ -52,7 +52,7 @@ class Phong(AbstractShading):
         `intensity`.
     - `specular`: fraction of the light that the highlight reflects; `shininess`: its exponent.
     - `background`: colour of pixels without a surface.
-    - `attenuation`: by the distance to a light that is not directional.
+    - `attenuation`: attenuation with the distance to a light that is not directional.
     - `model`: `"blinn_phong"`, highlight (N·H)^shininess with H the half vector (Blinn 1977), or `"phong"`,
         (R·V)^shininess with R the reflected light direction (Phong 1975).
 

@@ -14,7 +14,7 @@ Jacobian = Float[Array, "h w 2 2"]
 
 
 def pixels_of(camera: AbstractCamera) -> Callable[[VectorMap], TexelMap]:
-    """A function from world points (h, w, 3) to their places on the screen of `camera`, in pixels."""
+    """A function that maps world points (h, w, 3) to their positions on the screen of `camera`, in pixels."""
     view, resolution = camera.view(), camera.resolution
 
     def pixel(points: VectorMap) -> TexelMap:
@@ -32,7 +32,7 @@ def pixels_per_texel(
     points: VectorMap,
     normals: Float[Array, "k h w 3"],
 ) -> Float[Array, "k h w 2 2"]:
-    """By how many pixels along x and y (rows) points of surfaces move on the screen if they move by one texel along a
+    """How far points of surfaces move on the screen, in pixels along x and y (rows), if they move by one texel along a
     map's x and y (columns); 0 where the map sees the surface edge-on.
 
     **Arguments:**

@@ -384,7 +384,7 @@ PlaneConfig = Annotated[biases.Plane, PLANES]
 
 
 class TermsConfig(Section, biases.Terms):
-    """The weights of a bias that is linear in what a shader knows of a receiver; a sum below 0 counts as 0."""
+    """The weights of a bias that is linear in what a shader knows about a receiver; a sum below 0 counts as 0."""
 
     @property
     def given(self) -> bool:

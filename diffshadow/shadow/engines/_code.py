@@ -18,7 +18,7 @@ def engine_code(
     distances: tuple[float, float],
     origin: Origin = WORLD,
 ) -> str:
-    """Code in the engine's language that sets `settings` for `light`, with comments on where they hold.
+    """Code in the engine's language that sets `settings` for `light`, with comments on where they are valid.
 
     **Arguments:**
 
@@ -174,7 +174,7 @@ def _vector(values: Sequence[float]) -> str:
 
 
 def in_world(light: EngineLight, bias: float, distances: tuple[float, float]) -> str:
-    """The shift towards the light that a bias amounts to."""
+    """The shift towards the light that a bias causes."""
     depth = light.far - light.near
     if light.type == "directional":
         return f"{about(-bias * depth)} world units towards the light"

@@ -68,7 +68,7 @@ def three_spot_light(
     **Arguments:**
 
     - `position`, `target`: `light.position` and `light.target.position`, (3,), world units.
-    - `angle`: `light.angle`: from the cone's axis to its side, in radians.
+    - `angle`: `light.angle`: the angle from the cone's axis to its side, in radians.
     - `penumbra`: `light.penumbra`, from 0 to 1: the part of the angle over which shading falls off.
     - `near`, `far`: distances of the planes of `light.shadow.camera`; `distance`: `light.distance`, which replaces far
         unless it is 0.
@@ -129,8 +129,8 @@ def babylon_directional_light(
     - `position`, `direction`: `light.position` and `light.direction`, (3,), world units.
     - `ortho_left` to `ortho_bottom`: `light.orthoLeft` and the others, world units.
     - `shadow_min_z`, `shadow_max_z`: near and far, world units from the position.
-    - `shadow_ortho_scale`: `light.shadowOrthoScale`: the part of its width by which the window is wider on each side,
-        and of its height.
+    - `shadow_ortho_scale`: `light.shadowOrthoScale`: how much the window is enlarged on each side, as a fraction of its
+        width and of its height.
     - `angular_radius`: angular radius of the light's disk, in degrees, for references; the engine has none.
 
     **Raises** what `DirectionalLight` raises.
@@ -156,7 +156,8 @@ def babylon_spot_light(
 
     - `position`, `direction`: `light.position` and `light.direction`, (3,), world units.
     - `angle`: `light.angle`: the full cone, in radians.
-    - `shadow_min_z`, `shadow_max_z`: near and far, world units. Without them the engine takes the camera's.
+    - `shadow_min_z`, `shadow_max_z`: near and far, world units. Without them, the engine takes the camera's near and
+        far.
     - `shadow_angle_scale`: `light.shadowAngleScale`.
     - `radius`: radius of the light's disk, in world units, for references; the engine has none.
 
@@ -174,7 +175,8 @@ def babylon_point_light(
     **Arguments:**
 
     - `position`: `light.position`, (3,), world units.
-    - `shadow_min_z`, `shadow_max_z`: near and far, world units. Without them the engine takes the camera's.
+    - `shadow_min_z`, `shadow_max_z`: near and far, world units. Without them, the engine takes the camera's near and
+        far.
     - `radius`: radius of the light's sphere, in world units, for references; the engine has none.
 
     **Raises** what `PointLight` raises.
@@ -210,7 +212,7 @@ def fitted_directional_light(
 
     **Arguments:**
 
-    - `direction`: in which the light shines, (3,).
+    - `direction`: the direction in which the light shines, (3,).
     - `angular_radius`: angular radius of the light's disk, in degrees, for references; the engine has none.
 
     **Raises** what `DirectionalLight` raises.
@@ -234,7 +236,7 @@ def playcanvas_spot_light(
 
     - `position`, `direction`: position of the light's entity, and the direction in which it shines, (3,), world units.
     - `range`: `light.range`, world units; near is a thousandth of it.
-    - `outer_cone_angle`, `inner_cone_angle`: from the axis, degrees.
+    - `outer_cone_angle`, `inner_cone_angle`: angles from the axis, in degrees.
     - `radius`: radius of the light's disk, in world units, for references; the engine has none.
 
     **Raises** what `SpotLight` raises.
@@ -273,8 +275,8 @@ def bevy_spot_light(
     **Arguments:**
 
     - `position`, `direction`: position of its transform, and the direction in which it shines, (3,), world units.
-    - `range`, `shadow_map_near_z`: world units; the map's far plane is at infinity.
-    - `outer_angle`, `inner_angle`: from the axis, radians.
+    - `range`, `shadow_map_near_z`: distances in world units; the map's far plane is at infinity.
+    - `outer_angle`, `inner_angle`: angles from the axis, in radians.
     - `radius`: radius of the light's disk, in world units, for references; without soft shadows the engine has none.
 
     **Raises** what `SpotLight` raises.

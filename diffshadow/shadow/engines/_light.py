@@ -129,7 +129,8 @@ def _target(position: HostArray, direction: HostArray) -> list[float]:
 
 
 def plain(values: Any, error: float = 0.0) -> list[float]:
-    """Each of `values` with the fewest digits that are the same number in single precision, or within `error`."""
+    """Each of `values` with the fewest digits that read back as the same number in single precision, or as a number
+    within `error`."""
     return [_shortest(float(value), error) for value in values]
 
 

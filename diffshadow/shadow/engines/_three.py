@@ -93,8 +93,8 @@ class ThreeJs(AbstractEngineShadows):
     def prepare(self, scene: Scene, surface: Surface | None = None) -> EngineMap:
         """The map of the scene's only light. It does not depend on `surface`.
 
-        **Raises** `ValueError` for an area light, a point light with `VSMShadowMap`, which the engine does not draw, or
-        with a map that is not square, or a number of sides that is not the number of meshes.
+        **Raises** `ValueError` for an area light, for a point light with `VSMShadowMap` (which the engine does not
+        draw) or with a map that is not square, or if there is not one side for all meshes or one for each.
         """
         if self.shadow_type == "VSMShadowMap" and isinstance(scene.light, PointLight):
             raise ValueError(
@@ -157,7 +157,8 @@ class ThreeJs(AbstractEngineShadows):
     def visibility(self, state: EngineMap, surface: Surface) -> Visibility:
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
 
-        Points outside of the light's frustum are lit. Faces turned away from the light are compared as all others.
+        Points outside of the light's frustum are lit. Faces turned away from the light are compared like all other
+        faces.
         """
         return _visibility(self, state, surface)
 

@@ -27,7 +27,7 @@ Moments = tuple[Float[Array, "h w"], Float[Array, "h w"]]
 
 
 def blurred(depth: Float[Array, "h w"], radius: Array, samples: int) -> Moments:
-    """Mean and standard deviation of depth over a box: nearest texels along columns, then bilinear ones along rows.
+    """Mean and standard deviation of depth over a box: nearest texels along columns, then bilinear texels along rows.
 
     Both are rounded to half floats after each pass.
 

@@ -20,7 +20,7 @@ class ExponentialShadowMap(AbstractPrefiltered):
     few deeper texels under the blur are enough to light it.
 
     - `radius`: radius of the blur, in texels.
-    - `max_radius`: upper bound on `radius`, in texels. Defaults to `radius`, or to 8 if that is traced; rounded up
+    - `max_radius`: upper bound on `radius`, in texels. Defaults to `radius`, or to 8 if `radius` is traced; rounded up
         to a half texel.
     - `kernel`: kernel of the blur; all shapes end at the radius.
     - `exponent`: k, for linear depth from 0 at the light's near plane to 1 at its far plane. Light leaks to about 1 / k

@@ -24,7 +24,7 @@ class ExponentialVarianceShadowMap(AbstractPrefiltered):
     surfaces around them.
 
     - `radius`: radius of the blur, in texels.
-    - `max_radius`: upper bound on `radius`, in texels. Defaults to `radius`, or to 8 if that is traced; rounded up
+    - `max_radius`: upper bound on `radius`, in texels. Defaults to `radius`, or to 8 if `radius` is traced; rounded up
         to a half texel.
     - `kernel`: kernel of the blur; all shapes end at the radius.
     - `positive_exponent`, `negative_exponent`: c₊ and c₋, for linear depth z from 0 at the light's near plane to 1 at

@@ -27,7 +27,7 @@ class MomentShadowMap(AbstractPrefiltered):
     The bound is exact for two depths and the receiver's own, so light bleeds only with three occluders or more.
 
     - `radius`: radius of the blur, in texels.
-    - `max_radius`: upper bound on `radius`, in texels. Defaults to `radius`, or to 8 if that is traced; rounded up
+    - `max_radius`: upper bound on `radius`, in texels. Defaults to `radius`, or to 8 if `radius` is traced; rounded up
         to a half texel.
     - `kernel`: kernel of the blur; all shapes end at the radius.
     - `moment_bias`: weight with which moments are blended towards a broad distribution's moments, against rounding. A

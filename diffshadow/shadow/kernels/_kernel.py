@@ -80,7 +80,7 @@ class AbstractKernel(eqx.Module):
 
     @abc.abstractmethod
     def footprint(self, lookup: Lookup, step: Any) -> Footprint:
-        """The texels that look-ups read at a step, which is one for all look-ups or one for each."""
+        """The texels that look-ups read at a step. There is one step for all look-ups, or one for each."""
 
     @abc.abstractmethod
     def reach(self, lookup: Lookup, steps: Any) -> Float[Array, "..."]:

@@ -29,7 +29,7 @@ class PaddedSilhouettes(eqx.Module):
 
     - `map`: its slots are padded as the depths are.
     - `bounds`: bounds of the depths within each texel with a silhouette, padded too; see `may_part`.
-    - `blocks`: the same of blocks of texels.
+    - `blocks`: the same bounds for blocks of texels.
     """
 
     map: SilhouetteMap
@@ -80,8 +80,8 @@ def may_part(
 ) -> Bool[Array, "*n"]:
     """Whether receivers may lie between the parts of texels with these bounds.
 
-    `depths` are the least and the greatest that receivers may have; any if left out. They are rounded down to steps, as
-    bounds are, so that some receivers close to a part may be taken for between.
+    `depths` are the least and the greatest depth that receivers may have; any depth if left out. Receivers are rounded
+    down to steps, like the bounds, so that some receivers close to a part may count as between the parts.
     """
     least, greatest = bounds >> _STEP_BITS, bounds & _STEPS
     if depths is None:

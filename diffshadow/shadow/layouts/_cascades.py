@@ -54,14 +54,14 @@ class Cascades(AbstractFittedLayout):
         greatest depth of the surface that the camera sees (sample distribution shadow maps, Lauritzen, Salvi &
         Lefohn 2011).
     - `shadow_distance`: the depth, in world units, beyond which nothing is shadowed; f if left out.
-    - `fit`: what each cascade contains. `"cascade"`: its slice. `"scene"`: everything up to the end of its slice, which
-        spends texels on surfaces that finer cascades show.
+    - `fit`: what each cascade contains. `"cascade"`: its slice. `"scene"`: everything up to the end of the slice. This
+        spends texels on surfaces that finer cascades already show.
     - `stabilize`: whether texels keep their place on the scene's surfaces when the camera moves. Each cascade then
         contains the least sphere around its slice, whose size does not change when the camera turns, and moves by whole
         texels. Otherwise it contains the box of its slice, cut to the light's own map. Texels keep their place only if
         slices do: with `depths="camera"`, and a camera with constant near and far.
-    - `select`: the cascade in which a receiver is looked up. `"interval"`: by its depth. `"map"`: the first whose map
-        contains it, which uses more of the finer maps.
+    - `select`: the cascade in which a receiver is looked up. `"interval"`: by its depth. `"map"`: the first cascade
+        whose map contains the receiver, which uses more of the finer maps.
     - `blend`: the fraction of a slice, at its end, over which its cascade fades into the next; 0 for a sharp change.
         With `select="map"`, the fraction of the map's half width, at its border.
     - `max_blend`: the greatest `blend` that a fit may reach, for which maps reserve space; defaults to `blend`.
@@ -245,7 +245,7 @@ class Cascades(AbstractFittedLayout):
         return self.shadow_distance is not None or self.distances is not None
 
     def remarks(self, light: AbstractLight) -> tuple[str, ...]:
-        """A remark that stabilized cascades are not stable, if their slices move."""
+        """Remarks that stabilized cascades are not stable, if their slices move."""
         if not (self.stabilize and self.depths == "surface"):
             return ()
         return (

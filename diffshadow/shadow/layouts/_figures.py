@@ -12,8 +12,9 @@ class MapFigure(NamedTuple):
     """How the layers of a map are named in a figure.
 
     - `title`: title of the figure.
-    - `layers`: what each layer shows, for layers side by side; none if they are put together into one image.
-    - `used`: how many layers show anything; the others come last.
+    - `layers`: what each layer shows, for layers that are shown side by side; none if the layers are combined into one
+        image.
+    - `used`: how many layers show anything; empty layers come last.
     """
 
     title: str
@@ -28,9 +29,9 @@ class LayerFigure(NamedTuple):
     - `title`, `subtitle`: above the figure.
     - `labels`: what each colour in the legend means, by its number.
     - `colour`: (h, w), the number of the colour at each pixel.
-    - `other`, `weight`: (h, w), a second colour, and the weight of the first in the mean of both; none if there is only
-        one.
-    - `brightness`: (h, w), a factor of the colour; none for 1.
+    - `other`, `weight`: (h, w), a second colour, and the weight of the first colour in the mean of both; none if there
+        is only one colour.
+    - `brightness`: (h, w), a factor of the colour; none for a factor of 1.
     - `shown`: (h, w), which pixels are coloured.
     """
 

@@ -42,24 +42,24 @@ def to_shader(
     name: str = "shadow",
     first_binding: int = 0,
 ) -> str:
-    """A technique as a function of a shader, which finds what `technique.visibility` finds.
+    """A technique as a function of a shader, with the same result as `technique.visibility`.
 
     Its comment says what its arguments are. Its numbers are constants above it, with all digits of single precision.
-    The constants `SHADOW_NEAR` and `SHADOW_FAR` belong to the light's matrices. Of a filter that blurs the map, such as
-    `VarianceShadowMap`, the functions `shadow_blur_rows` and `shadow_blur_columns` are the fragment shaders' of two
-    passes.
+    The constants `SHADOW_NEAR` and `SHADOW_FAR` belong to the light's matrices. For a filter that blurs the map, such
+    as `VarianceShadowMap`, call the functions `shadow_blur_rows` and `shadow_blur_columns` in the fragment shaders of
+    two passes.
 
     **Arguments:**
 
     - `technique`: a `ShadowMapping` without silhouettes, with a single map, cascades or a warp.
-    - `light`: as the map was drawn from: a directional, a spot or a point light, and for cascades or a warp
+    - `light`: the light that the map was drawn from: a directional, spot or point light; for cascades or a warp,
         `technique.light_of_map(scene)`.
     - `language`: `"glsl"` (3.30 or ES 3.00), `"wgsl"`, or `"hlsl"` (shader model 5).
     - `name`: name of the function, in small letters. All other names begin with it, so that shaders of different names
         fit into one program.
-    - `first_binding`: in WGSL, of the first array that is a buffer of group 1; see `shader_buffers`.
+    - `first_binding`: for WGSL, the binding of the first array that is a buffer of group 1; see `shader_buffers`.
 
-    **Raises** `ValueError` for a technique, a part or a light that has no shader, and a name that is none.
+    **Raises** `ValueError` for a technique, a part or a light that has no shader, and for an invalid name.
 
     !!! Example
 
@@ -90,11 +90,11 @@ def to_shader(
 def shader_buffers(
     technique: AbstractTechnique, light: AbstractLight, language: ShaderLanguage, name: str = "shadow"
 ) -> dict[str, HostArray]:
-    """What the buffers hold that `to_shader` declares with these arguments: float32 values by the variable's name, in
-    the order of their bindings.
+    """The content of the buffers that `to_shader` declares with these arguments: float32 values by the variable's name,
+    in the order of their bindings.
 
     Compilers of WGSL take minutes for a table of thousands of numbers, such as a pattern of 32 points for each of 8²
-    pixels. Tables of more than 256 numbers are therefore storage buffers there. Other languages have none.
+    pixels. In WGSL, tables of more than 256 numbers are therefore storage buffers. Other languages have none.
 
     **Raises** what `to_shader` raises.
     """
