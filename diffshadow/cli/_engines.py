@@ -57,8 +57,8 @@ def export(
     """Writes the shadows of CONFIG as a shader for your own renderer.
 
     For the folder of a finished fit, the shader has the fitted values. The folder also has the scene, the light's
-    matrices, and a page that says how to draw the shadow map in OpenGL, WebGPU and Direct3D. The path of the result is
-    the last line printed.
+    matrices, and a page that says how to draw the shadow map in OpenGL, WebGPU and Direct3D. The path of the shader's
+    folder is the last line printed.
 
     Example: `diffshadow export runs/quickstart`
 

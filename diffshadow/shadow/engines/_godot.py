@@ -85,8 +85,8 @@ class GodotCompatibility(AbstractEngineShadows):
         the light's range over the distance; under a point light, world units. It changes the map, so it has no
         derivative under directional and spot lights.
     - `shadow_normal_bias`: how far receivers move along their normals, at each vertex. Under a directional light it is
-        in texels, and less on faces that are turned away from the light. Otherwise `10 / size` of the distance times 1
-        - |cos θ|, where size is the size of the light's part of the atlas.
+        in texels, and less on faces that are turned away from the light. Otherwise `10 / size` of the distance times
+        1 - |cos θ|, where size is the size of the light's part of the atlas.
     - `directional_shadow_mode`: one camera, or four splits.
     - `directional_shadow_max_distance`, `directional_shadow_pancake_size`: how far shadows reach, and the depth of the
         space for casters in front of the camera's view, world units.
