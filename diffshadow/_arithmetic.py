@@ -120,7 +120,8 @@ _RUN = 32
 
 
 def take_in_runs(values: Array, index: Int[Array, "*n"]) -> Array:
-    """`take` for non-negative indices with many equal neighbours; its transpose sums each run first.
+    """`take` for non-negative indices with many equal neighbours. Its transpose first adds up each run of equal
+    indices.
 
     In each run of 32 indices, the transpose first adds up the gradients of all indices that equal the first one. That
     saves additions to one place, which a GPU does one after another.

@@ -46,7 +46,7 @@ def convert(config: Path, /, *overrides: str, engine: EngineName | None = None) 
     given = source(config)
     commands = [study.for_engine(given, overrides, engine), study.to_view(given, overrides)]
     if settings.technique.type == "shadow_map":
-        commands.append(Command("Write it as a shader for a renderer of your own.", ["export", given, *overrides]))
+        commands.append(Command("Write it as a shader for your own renderer.", ["export", given, *overrides]))
     print_end(None, commands)
 
 

@@ -79,16 +79,16 @@ class Sureness:
         """**Raises** `ValueError` for intervals and fronts that are not possible for a fit of the parameters
         `names`."""
         if (self.within or self.prefer) and joint.moves:
-            raise ValueError("intervals or preferences are asked for in a fit of lights or meshes; expected none there")
+            raise ValueError("intervals or preferences were requested for a fit of lights or meshes; expected none")
         for name, _ in self.prefer:
             if name not in names:
                 raise ValueError(f"{name} is preferred and not fitted; expected one of {', '.join(names)}")
         if self.front and joint.moves:
             raise ValueError(
-                f"a front of {self.front} points is asked for in a fit of lights or meshes; expected none there"
+                f"a front of {self.front} points was requested for a fit of lights or meshes; expected no front"
             )
         if self.front and joint.own is not None:
             raise ValueError(
-                f"a front of {self.front} points is asked for with a loss of your own; expected a fit.Loss, which has "
+                f"a front of {self.front} points was requested with a loss of your own; expected a fit.Loss, which has "
                 "factors of false shadow and of false light"
             )

@@ -47,7 +47,7 @@ class Phase(NamedTuple):
     - `joint`: the problems at its resolution and with its compare.
     - `active`: the indices of the parameters that it changes.
     - `width`: width of its soft compare in texels; 0 for the hard compare.
-    - `shared`: whether all starts run it, or only the best start.
+    - `shared`: whether all starts run the phase, or only the best start.
     - `stop`: when its solver ends, in addition to its tolerances.
     - `searched`: the part of the bounds that it searches, around the values so far; 0 for a phase by gradient.
     - `pixels`: the most pixels that a step evaluates, in a fit of a technique.

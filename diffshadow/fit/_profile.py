@@ -107,7 +107,7 @@ class Profiler:
         """The trial that goes furthest towards the sides in `order`, with an error of at most `1 + within` times the
         best.
 
-        The first parameter goes as far as it can; the next as far as it then can, and so on.
+        The first parameter goes as far as possible, then the next goes as far as is still possible, and so on.
         """
         names = [p.name for p in self.parameters]
 

@@ -22,7 +22,7 @@ class Least(NamedTuple):
 def search(
     error: Callable[[Box], float], start: Box, lower: Box, upper: Box, evaluations: int, part: float = 1.0
 ) -> Least:
-    """The least of about `evaluations` errors within the bounds and of the error at `start`.
+    """The least error of a search: of about `evaluations` places within the bounds, and `start`.
 
     It is found by DIRECT (Jones, Perttunen & Stuckman 1993; Gablonsky & Kelley 2001), which divides the box into ever
     smaller ones about its best points. It needs no derivative, and jumps of the error do no harm.

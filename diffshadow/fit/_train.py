@@ -98,7 +98,9 @@ def train(
         raise ValueError("where selects no number of the technique; expected some: select a module that holds them")
     least = _least(lower, _selected(technique, where))
     if (np.asarray(start) < least).any():
-        raise ValueError("a number starts below its lower bound; expected each at or above it: raise it, or lower it")
+        raise ValueError(
+            "a number starts below its lower bound; expected no number below it: raise the number, or lower the bound"
+        )
     groups = _stacked([_plain(problem, technique) for problem in problems])
     if not _count(groups) > 0:
         raise ValueError("no pixel of any view counts; expected cameras and lights to see the same part of the scene")

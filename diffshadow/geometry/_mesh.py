@@ -231,7 +231,7 @@ class Mesh(eqx.Module):
 
 
 MeshLike = Mesh | Triangles | TriangleScene
-"""A mesh, or what `Mesh.from_trimesh` makes one of."""
+"""A mesh, or what `Mesh.from_trimesh` converts to one."""
 
 
 def meshes_of(given: Triangles | TriangleScene, crease_angle: float | int | None = 30.0) -> list[Mesh]:

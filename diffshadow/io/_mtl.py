@@ -183,7 +183,7 @@ def _read(data: bytes) -> dict[str, _Entry]:
         elif key == "kd":
             numbers = [float(word) for word in words if is_number(word)]
             if len(numbers) != len(words) or len(numbers) not in (1, 3):
-                entry.left_out.append("diffuse colour of a material, which is no red, green and blue")
+                entry.left_out.append("diffuse colour of a material, which is not given as red, green and blue")
                 continue
             red, green, blue = np.clip(numbers * (3 // len(numbers)), 0, 1).tolist()
             entry.factor = red, green, blue

@@ -75,4 +75,4 @@ def three_colours(channels: Sequence[Shaped[HostArray, "h w"]], remarks: list[st
 
 
 Merge = Callable[[Sequence[Shaped[HostArray, "h w"]], list[str]], HostArray]
-"""What a reader makes of one or three channels; it may add remarks."""
+"""How a reader combines one or three channels; it may add remarks."""

@@ -167,7 +167,7 @@ def _remarks(chunks: Mapping[bytes, bytes], curves: Sequence[str | None]) -> Ite
     if encoding not in curves:
         read, mend = ("linear", "without a curve") if None in curves and len(curves) == 1 else ("sRGB", "in sRGB")
         yield (
-            f"has the chunk {encoding}; its values are read as {read} all the same, from 0 in shadow to 1 in light: "
+            f"has the chunk {encoding}; its values are still read as {read}, from 0 in shadow to 1 in light: "
             f"write them {mend}, or as .npy or .exr"
         )
     across, down, _ = struct.unpack(">IIB", chunks.get(b"pHYs", bytes(9)))

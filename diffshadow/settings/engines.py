@@ -40,7 +40,7 @@ GodotMode = Literal["SHADOW_ORTHOGONAL", "SHADOW_PARALLEL_4_SPLITS"]
 EngineName = Literal[
     "godot", "bevy", "filament", "unity", "three.js", "babylon.js", "playcanvas", "godot_compatibility"
 ]
-"""An engine, as one names it to the command."""
+"""An engine's name on the command line."""
 ENGINES: dict[EngineName, str] = {
     "godot": "Godot 4",
     "bevy": "Bevy",
@@ -112,14 +112,14 @@ class ThreeJs(Engine):
         "light.shadow.bias: added to receivers' depth, so negative values lift them",
     ] = 0.0
     normal_bias: Annotated[_Length, Fitted(), "light.shadow.normalBias: shift of receivers along their normals"] = 0.0
-    radius: Annotated[Texels, Fitted(), "light.shadow.radius: of the filter; without effect in BasicShadowMap"] = 1.0
+    radius: Annotated[Texels, Fitted(), "light.shadow.radius: filter radius; no effect in BasicShadowMap"] = 1.0
     intensity: Annotated[Fraction, "light.shadow.intensity"] = 1.0
     blur_samples: Annotated[int, Limits(1, 256), "light.shadow.blurSamples, in VSMShadowMap"] = 8
     side: Annotated[_Sides, "material.side, for all meshes or for each"] = "front"
     shadow_side: Annotated[
         _ShadowSides | None,
-        "material.shadowSide of all meshes, or of each; default, and null in a list: the other side, in VSMShadowMap "
-        "the same",
+        "material.shadowSide, for all meshes or for each; default, and null in a list: the opposite side, but the same "
+        "side in VSMShadowMap",
     ] = None
     reversed_depth: Annotated[bool, "whether the renderer has reversedDepthBuffer"] = False
 

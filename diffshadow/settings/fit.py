@@ -131,8 +131,8 @@ class Sureness(Settings):
         Len(0, 16),
         Form("a list of at most 16 fractions", "[0.01, 0.05]"),
         At("within"),
-        "for each, how far every parameter may move before the error exceeds its best by this fraction, with the "
-        "others fitted again",
+        "fractions: for each, how far every parameter may move, with the others fitted again, before the error "
+        "exceeds the best by this fraction",
     ] = ()
     tolerance: Annotated[Excess, "for prefer: how far the error may exceed the best, as a fraction of the best"] = 0.01
     front: Annotated[

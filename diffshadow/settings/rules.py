@@ -114,7 +114,7 @@ RULED = (
     filters.MomentShadowMap,
     filters.PercentageCloserSoft,
 )
-"""All filters that have a rule. Those that compare no taps one by one have the same for all radii."""
+"""All filters that have a rule. Filters that do not compare taps one by one have the same rule for all radii."""
 _NONE, _OTHERS = Numbers(0.0, 0.0, 0.0), Numbers(0.5, 0.5, 0.0)
 # Of a texel. Nobody types more.
 _DIGITS = 2

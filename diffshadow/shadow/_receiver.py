@@ -38,8 +38,8 @@ class Receiver(eqx.Module):
     - `texel_size`: (h, w), width of a shadow-map texel there, in world units.
     - `depth_per_texel`: (h, w), change of window depth over that length along the light's axis.
     - `slope`: (h, w, 2), the receiver plane's depth slope along the map's x and y, in texel widths per texel.
-    - `rounding`: (h, w), bound on the rounding error between the map's depth and its own depth (or the depth of its
-        plane under a kernel), in window depth.
+    - `rounding`: (h, w), bound on the rounding error between the map's depth and the receiver's depth (or the depth of
+        the receiver's plane under a kernel), in window depth.
     - `distance`: (h, w), distance along the light's axis, 0 at the map's near plane and 1 at its far plane;
         `depth_range`: the distance between these planes, in world units.
     - `stored`: (h, w), the map's window depth at the texel that it falls in; 1 beyond the map.

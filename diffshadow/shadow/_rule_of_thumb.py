@@ -19,7 +19,7 @@ def bias_for(filter: AbstractFilter, plane: AbstractBias | None = None, *, acros
     **Arguments:**
 
     - `plane`: a `ReceiverPlane()` that is a part of the bias. The other parts are then smaller. A `ReceiverPlane` with
-        other numbers was not measured. With it, or with an `AdaptiveBias`, the other parts are 0.
+        other numbers was not measured. With a plane or an `AdaptiveBias`, the other parts are 0.
 
     **Raises** `ValueError` for a filter with a traced radius.
 

@@ -41,7 +41,7 @@ class ShaderBias(NamedTuple):
     - `depths`: expressions whose sum is subtracted from the receiver's window depth.
     - `offsets`: expressions whose sum is how far the receiver moves along its normal, in texels.
     - `follows_plane`: whether each texel is compared with the receiver's plane; `deepest`: how much deeper the plane
-        may be than the receiver, in window depth; none for no bound.
+        may be than the receiver, in window depth; none if there is no bound.
     """
 
     part: ShaderPart = ShaderPart((), "")

@@ -236,8 +236,8 @@ def _image_remarks(
         if share > _MOSTLY:
             yield (
                 f"fit.shape.images.{i} ({shape.images[i]}) is dark in {share:.0%} of the pixels at its border that "
-                "count, and a shadow is dark on white: if the shape is white in it, invert the image; if its shadow "
-                "is cut off, raise fit.shape.extent and show all of it"
+                "count, but a shadow should be dark on white: if the shape is white, invert the image; if the shadow "
+                "is cut off, show the whole shadow and raise fit.shape.extent"
             )
 
 

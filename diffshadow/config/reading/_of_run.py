@@ -97,7 +97,7 @@ def _found(result: Mapping[str, Any], path: str) -> tuple[str, str]:
     # Runs of a sweep have no kind.
     is_fit = kind == "fit" or (isinstance(metrics, Mapping) and any(key.startswith("fitted.") for key in metrics))
     if is_fit and any(name.startswith("scene.") for name in _names(result)):
-        what = "holds a fit of lights or meshes, whose values no configuration of the run states"
+        what = "holds a fit of lights or meshes, and no configuration in the folder has the fitted values"
         raise _mistake(path, f"{what}; expected a fit of the technique alone; {_COPY}")
     return (FITTED_FILE, "the fit") if is_fit else (CONFIG_FILE, "the run")
 

@@ -23,7 +23,7 @@ from ..sections._section import Variants, value_at
 from ..sections._technique import FILTERS, TECHNIQUES
 
 COLON = ":"
-"""What parts a module from a name in it."""
+"""What separates a module from a name in it."""
 
 
 class _Kind(NamedTuple):

@@ -372,7 +372,7 @@ class SceneConfig(Section):
     lights: Annotated[
         Annotated[tuple[LightConfig, ...], Form("a list of lights")] | None, "several lights instead of one"
     ] = None
-    ground: Annotated[Literal["auto"] | None, "auto: adds a plane under meshes that stand on nothing"] = None
+    ground: Annotated[Literal["auto"] | None, "auto: adds a plane under meshes that have no ground"] = None
     exclusive = (("light", "lights"),)
 
     @property

@@ -36,9 +36,9 @@ class PoseProblem(ArrangedProblem):
         should cover a texel of the map, as seen by the camera.
     - `shift`: (2,), a shift of the map's grid of texels, as for `draw_shadow_map`; `None` for no shift. Maps with a
         warp, with pages or with cascades of several sizes have no such grid, and are not shifted.
-    - `shadow_points`: visibility is the mean over so many points within each pixel. `of` chooses more points for wider
-        pixels, measured in texels of the map. If an outline is narrower than a pixel, most pixels along it have no
-        derivative at their centre.
+    - `shadow_points`: visibility is the mean over so many points within each pixel. The constructor `of` chooses more
+        points if pixels are wide in texels of the map. If an outline is narrower than a pixel, most pixels along it
+        have no derivative at their centre.
 
     !!! Example
 

@@ -54,7 +54,7 @@ class LinearBias(AbstractBias):
             check_value(f"LinearBias.weights[{name!r}]", weight, Settings.each()[name])
 
     def total(self, receiver: Receiver) -> Float[Array, "h w"]:
-        """The sum of all terms, in texels; of any sign."""
+        """The sum of all terms, in texels. It may have any sign."""
         terms = (weight * FEATURES[name].of(receiver) for name, weight in self.weights.items())
         return sum(terms, start=jnp.zeros_like(receiver.cosine))
 

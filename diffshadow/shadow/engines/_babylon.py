@@ -62,8 +62,8 @@ class BabylonJs(AbstractEngineShadows):
     - `blur_scale`: the radius of `POISSONSAMPLING` in texels, under a point light in half texels at a face's centre;
         or how many times fewer texels the blurred map has, where it has no derivative.
     - `depth_scale`: the steepness of exponential maps.
-    - `frustum_edge_falloff`: the width of the border over which shadows fade out, from 0 to 1, the half width of the
-        map. The border is a circle, so the corners of the map are lit.
+    - `frustum_edge_falloff`: the width of the border over which shadows fade out, as a fraction of the map's half
+        width. The border is a circle, so the corners of the map are lit.
     - `contact_hardening_light_size_uv_ratio`: the radius of `PCSS` divided by the width of the map.
     - `filter`: the generator's `FILTER_` constant.
     - `quality`: the generator's `filteringQuality`, for `PCF` and `PCSS`.

@@ -157,11 +157,11 @@ def _where_it_holds(engine: str, is_linear: bool) -> list[str]:
     if is_linear:
         scale = "With another depth range (far - near), multiply the bias by the old range over the new one."
     else:
-        scale = "Bias is window depth, which depends on near and far: with others, fit it again."
+        scale = "Bias is window depth, which depends on near and far: fit it again for others."
     return [
         f"// {engine}.",
-        f"// Holds for this map size, near and far. {scale}",
-        "// With another map size, normalBias goes with the size of a texel.",
+        f"// Valid for this map size, near and far. {scale}",
+        "// With another map size, normalBias is proportional to the size of a texel.",
     ]
 
 

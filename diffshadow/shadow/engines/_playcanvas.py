@@ -279,7 +279,7 @@ class PlayCanvas(AbstractEngineShadows):
         depends_on = "shadowDistance and view camera" if given.type == "directional" else "range"
         return [
             "// PlayCanvas 2.23, WebGL2.",
-            f"// Holds for this map size, {depends_on}: with others, fit it again.",
+            f"// Valid for this map size, {depends_on}: fit it again for others.",
             *lines,
         ]
 

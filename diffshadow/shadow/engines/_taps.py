@@ -14,7 +14,7 @@ from ..filters._castano import CASTANO_KERNELS
 from ._textures import bilinear
 
 Compared = Callable[[Array], Array]
-"""What the compare with the receiver gives, of each stored value."""
+"""The result of the compare with the receiver, for each stored value."""
 TentSize = Literal[1, 3, 5]
 """How many texels wide a tent is; 1 for a single bilinear compare."""
 

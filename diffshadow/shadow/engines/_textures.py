@@ -13,7 +13,7 @@ from ..._types import HostArray
 from ._engine_map import CUBE, rounded
 
 Of = Callable[[Float[Array, "*n"]], Float[Array, "*n"]]
-"""What is averaged over texels, of each texel's value."""
+"""The function of each texel's value that is averaged over texels."""
 
 
 def as_half(x: Float[Array, "*n"]) -> Float[Array, "*n"]:

@@ -93,7 +93,7 @@ class AbstractPrefiltered(AbstractFilter):
         blur = self._blur
         each = (
             Constant("LIGHT_BLEEDING", number(self.light_bleeding), "visibility up to which receivers are dark"),
-            Constant("BLUR_MARGIN", blur.margin, "texels by which moments are wider than the map on each side"),
+            Constant("BLUR_MARGIN", blur.margin, "how many texels moments are wider than the map on each side"),
             Constant("BLUR_TEXELS", 2 * blur.reach + 1, "along a row or a column, that a blur reads"),
             Constant("BLUR", numbers(blur.weights), "their weights"),
         )

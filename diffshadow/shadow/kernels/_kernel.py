@@ -57,7 +57,7 @@ class Footprint(NamedTuple):
         return sum(rows, start=jnp.zeros_like(lookup.x))
 
     def depth(self, lookup: Lookup, right: Array | int, up: Array | int) -> Float[Array, "*n"]:
-        """The depth that a texel is compared with: the receiver plane's at the texel's centre."""
+        """The depth that a texel is compared with: the depth of the receiver plane at the texel's centre."""
         if lookup.slope is None:
             return lookup.depth
         along_x, along_y = lookup.slope

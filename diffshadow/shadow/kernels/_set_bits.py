@@ -14,7 +14,7 @@ WIDTH = 32
 
 
 class SetBits(eqx.Module):
-    """Bits in rows and `n` columns, 32 rows to a word. Set bits are numbered column by column.
+    """A table of bits with `n` columns, which stores 32 rows in each word. Set bits are numbered column by column.
 
     - `words`: the lowest bit belongs to the first row.
     - `columns`: the set bits as items of columns.

@@ -43,7 +43,7 @@ class Cascades(AbstractFittedLayout):
     - `count`: the number of cascades.
     - `logarithmic`: λ, from 0 for slices of equal depth to 1 for slices of equal ratio of depths.
     - `distances`: the end of each slice along the camera's axis, in world units; instead of `count` and `logarithmic`.
-        The last is the shadow distance.
+        The last distance is the shadow distance.
     - `shares`: for each cascade a number greater than 0, its number of texels relative to the other cascades. A map of
         R² texels for each of N cascades has N R² in all; the side of cascade i is `R sqrt(N share_i / Σ share)`,
         rounded down. All layers have the size of the largest cascade. Smaller cascades fill the lower left square of

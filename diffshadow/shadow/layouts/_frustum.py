@@ -42,7 +42,8 @@ class ViewFrustum(NamedTuple):
         return self.eye + depth * self.axes[2] + (depth * sides if self.is_perspective else sides)
 
     def spheres(self, begin: Float[Array, " l"], end: Float[Array, " l"]) -> tuple[Float[Array, "l 3"], Array]:
-        """The centres (l, 3) and radii (l,) of the smallest spheres around the parts of its view between depths.
+        """The centres (l, 3) and radii (l,) of the smallest spheres around parts of the camera's view, each between two
+        depths.
 
         The radii depend on the camera's field of view, not on its pose. This is true to the bit, so that a camera that
         turns does not change their size.
@@ -66,7 +67,7 @@ def depths_of(camera: View, surface: Surface | None, shadow_distance: Scalar | N
 
     - `surface`: the surface that the camera sees, if maps are fitted to its depths; none to fit them to all depths from
         the camera's near to its far.
-    - `shadow_distance`: upper bound on both depths; none for no bound.
+    - `shadow_distance`: upper bound on both depths; none if there is no bound.
     """
     near, far = camera.near, camera.far
     if surface is not None:

@@ -158,4 +158,4 @@ LANGUAGES: Mapping[str, Language] = {
         _HLSL["ShadowTexture"],
     ),
 }
-"""By the name that `to_shader` takes: GLSL 3.30 and ES 3.00, WGSL, and HLSL of shader model 5."""
+"""The languages by the names that `to_shader` takes: GLSL 3.30 and ES 3.00, WGSL, and HLSL of shader model 5."""

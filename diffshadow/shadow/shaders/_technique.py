@@ -22,12 +22,12 @@ from ..filters._pcss import PercentageCloserSoft, half_width_of
 from ..layouts import CascadedLight, Cascades, PerspectiveWarp, WarpedLight
 from ._languages import LANGUAGES, renamed
 
-# Why a technique has no shader, and which one comes nearest.
+# Why a technique has no shader, and which one is the most similar.
 _REFUSED: Mapping[type[AbstractTechnique], str] = {
-    ShadowVolumes: "it draws volumes into a stencil buffer, and looks nothing up; nearest comes ShadowMapping with a "
-    "large map and the filter Nearest",
-    IrregularZBuffer: "it keeps a list of pixels for each texel; nearest comes ShadowMapping with Cascades",
-    ProjectiveShadow: "it only reads a texture, without a compare; nearest comes ShadowMapping",
+    ShadowVolumes: "it draws volumes into a stencil buffer, and looks nothing up; the most similar is ShadowMapping "
+    "with a large map and the filter Nearest",
+    IrregularZBuffer: "it stores a list of pixels for each texel; the most similar is ShadowMapping with Cascades",
+    ProjectiveShadow: "it reads a texture and compares no depths; the most similar is ShadowMapping",
     AbstractEngineShadows: "its shader is the engine's own; `diffshadow convert` writes its settings",
 }
 # Longer arrays are buffers in languages that compile them for minutes.
@@ -118,8 +118,8 @@ def _shader_of(technique: AbstractTechnique, light: AbstractLight) -> ShaderPart
         )
     if technique.map.silhouettes:
         raise ValueError(
-            "map.silhouettes is true, which has no shader; expected false, since shaders compare stored depths only: "
-            "nearest comes a map of more texels"
+            "map.silhouettes is true, which has no shader; expected false, since shaders compare only stored depths: "
+            "the most similar is a map of more texels"
         )
     layout = technique.layout
     expected = {Cascades: CascadedLight, PerspectiveWarp: WarpedLight}.get(type(layout))

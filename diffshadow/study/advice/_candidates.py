@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from ..record._sweeps import Candidate
 
 SAME_TIME = 0.05
-"""The fraction by which two times may differ and still count as equal: repeated measurements differ so."""
+"""The fraction by which two times may differ and still count as equal: repeated measurements differ by as much."""
 
 
 def same_time(one: Candidate, other: Candidate) -> bool:

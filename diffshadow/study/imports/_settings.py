@@ -45,8 +45,8 @@ class Chosen(NamedTuple):
 
 
 def choose(scene: io.SceneFile, camera: str | None, light: str | None, remarks: list[str]) -> Chosen:
-    """The camera and light of these names, by default the first, and what they see and light. Adds what it leaves out
-    to `remarks`.
+    """The camera and light of these names, by default the first, and what they see and light. Adds a remark on each
+    part that is left out to `remarks`.
 
     **Raises** `ValueError` if there is no such camera or light, or no mesh.
     """

@@ -266,7 +266,7 @@ class Run(Part):
 
     @property
     def said(self) -> Verdict | None:
-        """The verdict on a fit; none for a render, and for a fit by an older version."""
+        """The verdict on a fit; none for a render, and none for a fit by an older version."""
         return getattr(self, "verdict", None)
 
     @property

@@ -7,10 +7,10 @@ import numpy as np
 from ...fit import FitResult, Outcome, PictureProblem
 
 CUT_SHORT = "max_steps reached"
-"""How a phase ends that has no steps left."""
+"""How a phase without further steps ends."""
 STILL_FALLING = 0.25
-"""Above this relative decrease in the last steps, a loss counts as still falling. Losses of poses change a little at
-every step, as pixels switch between lit and shadowed."""
+"""A loss counts as still falling if it fell by more than this fraction in the last steps. Losses of poses change a
+little at every step, as pixels switch between lit and shadowed."""
 # Up to this one, the last phase of a fit of a technique counts as done: its error fell by no more than half as much.
 _NEARLY_DONE = 0.01
 # Of fewer evaluations of the loss, a decrease does not tell whether more would follow: solvers reject some first steps.

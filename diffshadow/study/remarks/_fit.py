@@ -172,7 +172,7 @@ def pose_remarks(config: Config | None, result: FitResult, *, is_known: bool = T
             yield f"the {what} hardly determines {group[0]}: other values of it fit as well"
         else:
             listed = f"{', '.join(group[:-1])} and {group[-1]}"
-            yield f"the {what} hardly determines {listed}: they can change together and fit as well"
+            yield f"the {what} hardly determines {listed}: they can change together without a change of the error"
     if result.enlargements:
         yield f"memory for silhouettes was enlarged {result.enlargements} times during the fit; each time recompiles"
 

@@ -82,7 +82,7 @@ def convert(
     """
     if not isinstance(config.technique, SingleMap | Engine):
         *names, last = ENGINE_TECHNIQUES
-        expected = f"expected shadow_map, {', '.join(names)} or {last}, whose bias is converted: change it"
+        expected = f"expected shadow_map, {', '.join(names)} or {last}, whose biases can be converted: change it"
         what = f"is {config.technique.type}; {expected}"
         raise ConfigError([Mistake(config.origin.place(("technique", "type")), "technique.type", what)])
     technique = build_technique(config, fitting=False)

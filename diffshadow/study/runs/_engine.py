@@ -23,7 +23,7 @@ from ._setup import load
 _MAX_BIAS, _MAX_OFFSET, MAX_RADIUS = 32.0, 4.0, 16.0
 _START = 2.0
 SIDES: dict[str, Side] = {"none": "double", "back": "front", "front": "back"}
-"""The faces that cast, by `shadow_map.cull`."""
+"""The faces that cast, for each value of `shadow_map.cull`."""
 FACES: dict[str, str] = {"double": "both sides of faces cast", "front": "front faces cast", "back": "back faces cast"}
 """The same in words."""
 
@@ -52,7 +52,7 @@ class Lit(NamedTuple):
 
 
 def lit_by(config: Config, progress: Progress) -> list[Lit]:
-    """Each light of `config`, with the median over its receivers.
+    """Each light of `config`, with values for its median receiver.
 
     **Raises** `ConfigError` if a light reaches nothing that the camera sees, or no engine has such a light.
     """

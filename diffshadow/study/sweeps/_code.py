@@ -64,8 +64,8 @@ def own_code() -> Code:
 
 
 def imported_code(here: str) -> Code:
-    """The code of a process once it has imported what workers need. It is imported only if the sources have the hash
-    `here`."""
+    """The code of a process once it has imported what workers need. The package is imported only if its sources have
+    the hash `here`."""
     if _OWN in sys.modules:
         # A process keeps what it has imported, whatever becomes of the files.
         return sys.modules[_OWN].own_code()
