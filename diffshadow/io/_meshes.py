@@ -232,9 +232,9 @@ def coarse_steps(vertices: Float[HostArray, "v 3"]) -> str:
     if not is_rounded or are_whole(_ROUND * step) or are_whole(decimal(_ROUND * step)):
         return ""
     return (
-        f"lies far from the origin: its coordinates are rounded to steps of {step:.2g}, as in single precision, which "
-        f"is {step / (high - low).max():.2%} of the mesh's size and changes its shape; move the mesh to the origin "
-        "before it is exported, and give its place with translate"
+        f"is far from its origin: its coordinates are rounded to steps of {step:.2g}, "
+        f"{step / (high - low).max():.2%} of its size, as in single precision, which changes its shape; move it to the "
+        "origin before it is exported, and give its place with translate"
     )
 
 

@@ -289,7 +289,7 @@ def test_the_cheapest_of_those_within_the_noise_is_recommended():
             "constant: 0, slope: 0, normal_offset: 9",
             "bias.normal_offset: {lower: 0, upper: 16}",
             "bias.normal_offset = 9 texels is far more",
-            "100% of that on scene.meshes.1 (builtin:plane), where the light meets surfaces at 5°",
+            "100% of it on scene.meshes.1 (builtin:plane), where the light meets surfaces at 5°",
             marks=pytest.mark.exhaustive,
         ),
     ],
