@@ -7,7 +7,8 @@ Its subpackages, each with its public names on one page:
 - `io`: mesh and image files. `config`: YAML configurations. `study`: runs that leave a folder.
 
 A subpackage is loaded, and JAX with it, on first use. Importing the package changes nothing global. `setup()`, called
-before JAX makes its first array, sets the process up for fast work. It calls these, which can also be called alone:
+before JAX makes its first array, sets the process up for fast work. It calls these functions, which can also be called
+alone:
 
 - `use_all_cores()` lets XLA run loops on all cores.
 - `keep_freed_memory()` reuses freed memory for large arrays.

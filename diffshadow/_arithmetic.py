@@ -19,7 +19,7 @@ def as_float(x: Any) -> Array:
 
 
 def as_number(x: Any) -> Any:
-    """As `as_float`; what is no number stays as it is, so that a check can name it."""
+    """Like `as_float`; anything that is not a number stays as it is, so that a check can name it."""
     if x is None or isinstance(x, str):
         return x
     try:
@@ -29,7 +29,7 @@ def as_number(x: Any) -> Any:
 
 
 def as_numbers(xs: Any) -> Any:
-    """A sequence of numbers as a tuple of these; what is no sequence stays as it is."""
+    """A sequence of numbers as a tuple; anything that is not a sequence stays as it is."""
     # NumPy cannot read a sequence of traced numbers.
     return tuple(map(as_number, xs)) if isinstance(xs, Sequence) or np.ndim(xs) else xs
 
@@ -107,7 +107,7 @@ def normalize(x: Float[Array, "*n d"]) -> Float[Array, "*n d"]:
 
 
 def take(values: Array, index: Int[Array, "*n"]) -> Array:
-    """`values[index]` along the first axis, for indices in bounds. A negative one reads the first element."""
+    """`values[index]` along the first axis, for indices in bounds. A negative index reads the first element."""
     return values.at[index].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
@@ -120,10 +120,11 @@ _RUN = 32
 
 
 def take_in_runs(values: Array, index: Int[Array, "*n"]) -> Array:
-    """`take` for non-negative indices with many equal neighbours; its transpose sums each run first.
+    """`take` for non-negative indices with many equal neighbours. Its transpose first adds up each run of equal
+    indices.
 
     In each run of 32 indices, the transpose first adds up the gradients of all indices that equal the first one. That
-    saves additions to one place, for which a GPU waits.
+    saves additions to one place, which a GPU does one after another.
     """
     runs = jnp.pad(index.reshape(-1), (0, -index.size % _RUN)).reshape(-1, _RUN)
     first = runs[:, :1]
@@ -137,12 +138,12 @@ def take_in_runs(values: Array, index: Int[Array, "*n"]) -> Array:
 
 @jax.jit
 def components(vectors: Float[Array, "*n c"]) -> tuple[Float[Array, "*n"], ...]:
-    """x, y and so on of vectors in an array each."""
+    """The coordinates x, y and so on of vectors, each as an array."""
     return tuple(vectors[..., k] for k in range(vectors.shape[-1]))
 
 
 def sums_along(values: Float[Array, "..."], weights: Sequence[float] | Float[Array, " k"], axis: int) -> Array:
-    """The sums of each k neighbours along an axis times `weights` (k,): the axis gets k - 1 shorter.
+    """The sums of k neighbours along an axis, weighted by `weights` (k,). The axis gets k - 1 shorter.
 
     Written out, they run in one pass over memory. A running total of equal weights would be no faster below 60 or so,
     and loses digits to cancellation that variances cannot spare; a convolution is many times slower on a CPU.
@@ -167,8 +168,9 @@ def at_least(x: Float[Array, "*n"], bound: Float[Array, "*#n"] | float | None) -
 def for_any(condition: Bool[Array, ""]) -> Bool[Array, ""]:
     """`condition`; under `jax.vmap`, whether it holds for any of the batch.
 
-    For a branch of `lax.cond` that changes nothing where the condition does not hold. With a condition of its own for
-    each of the batch, JAX would take both branches for all, and has no reverse mode for a branch that reads tangents.
+    For a branch of `lax.cond` that changes nothing where the condition does not hold. With a separate condition for
+    each element of the batch, JAX would take both branches for all elements, and it has no reverse mode for a branch
+    that reads tangents.
     """
     return condition
 
@@ -180,7 +182,7 @@ def _for_any_of_batch(size, is_batched, condition):
 
 @jax.custom_jvp
 def with_gradient_of(smooth: Float[Array, "*n"], value: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """`value`, with the derivative of `smooth`: for what is rounded or found by a search."""
+    """`value` with the derivative of `smooth`, for values that are rounded or found by a search."""
     return value
 
 

@@ -23,7 +23,7 @@ class CheckedModule(eqx.Module):
     """A module whose fields are checked as it is made.
 
     - `settings`: what describes them. Their ranges are added to the module's docstring.
-    - `part`: where the module stands in what these settings describe, if it is only a part of that.
+    - `part`: the module's path in what these settings describe, if the module is only a part of it.
 
     **Raises** what `check_settings` raises.
     """
@@ -100,7 +100,7 @@ def check_order(module: Any, low: str, high: str, equal: bool = False) -> None:
 def check_arguments(settings: type[Settings], **values: Any) -> None:
     """Checks arguments of a function, by the keys of `settings`.
 
-    **Raises** `ValueError` that names the first that is not allowed.
+    **Raises** `ValueError` that names the first argument that is not allowed.
     """
     for key, value in values.items():
         check_value((*settings.each()[key].paths(key), key)[0], value, settings.each()[key])
@@ -112,7 +112,7 @@ def check_value(name: str, value: Any, setting: Setting | Any, unit: str | None 
     **Arguments:**
 
     - `setting`: what is allowed, or its type with marks.
-    - `unit`: in place of the setting's own.
+    - `unit`: replaces the setting's own unit.
 
     **Raises** `ValueError` if it is not allowed.
     """
@@ -216,13 +216,13 @@ def check_points(name: str, points: Any) -> None:
 
 
 def as_tuple(value: Any) -> Any:
-    """A list as a tuple, which can be part of a compiled program; any other value as it is."""
+    """A list becomes a tuple, which can be part of a compiled program; any other value stays as it is."""
     return tuple(value) if isinstance(value, list) else value
 
 
 def text_within(value: float, lower: float, upper: float, digits: int = 4) -> str:
-    """The value of a parameter with these bounds, to so many digits, and to more where it is far from 0 and its bounds
-    are close to each other."""
+    """The value of a parameter with these bounds, to the given number of digits, and to more digits if it is far from 0
+    and its bounds are close to each other."""
     beyond = abs(value) / (100 * (upper - lower))
     return f"{value:.{digits + (math.ceil(math.log10(beyond)) if beyond > 1 else 0)}g}"
 
@@ -233,9 +233,9 @@ def listed(values: Any) -> str:
 
 
 def check_again(tree: Any) -> None:
-    """Repeats the checks that the modules in `tree` made of their fields as they were built.
+    """Repeats the checks of their fields that the modules in `tree` made when they were built.
 
-    For modules whose fields were replaced, which checks nothing. **Raises** what the checks raise.
+    This is for modules whose fields were replaced, since replacing checks nothing. **Raises** what the checks raise.
     """
     if isinstance(tree, eqx.Module):
         for own in type(tree).__mro__:

@@ -4,8 +4,8 @@ import jax
 
 
 def is_on_gpu() -> bool:
-    """Whether JAX's default backend is not the CPU. On a GPU each step of a loop costs the start of all its kernels,
-    and additions to one place, or other updates of it, wait for each other."""
+    """Whether JAX's default backend is not the CPU. On a GPU, each step of a loop costs the start of all its kernels,
+    and updates of one place, such as additions, wait for each other."""
     return jax.default_backend() != "cpu"
 
 

@@ -13,7 +13,8 @@ _INTERRUPT_INTERVAL = 0.2
 
 @contextlib.contextmanager
 def reported_interrupts() -> Iterator[None]:
-    """Raises `KeyboardInterrupt` for the error that JAX makes of one in a callback, whose text alone names it."""
+    """Raises `KeyboardInterrupt` in place of the error that JAX makes from an interrupt in a callback. Only the text of
+    this error names the interrupt."""
     try:
         yield
     except RuntimeError as error:
@@ -29,8 +30,8 @@ def repeated_interrupts() -> Iterator[None]:
     Python raises it wherever the main thread happens to be. A callback of the garbage collector drops it with a
     message. Native code that calls Python, such as Pydantic's, may drop it silently.
 
-    A shell starts the background jobs of a script with Ctrl-C ignored. So it stays, as in other programs: SIGTERM ends
-    them.
+    A shell starts the background jobs of a script with Ctrl-C ignored. Ctrl-C stays ignored then, as in other programs;
+    SIGTERM ends these jobs.
     """
     if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         yield

@@ -20,8 +20,8 @@ _SMALL_SIZES = (256, 4096, 16384)
 
 
 def shared_size(n: int) -> int:
-    """A size of at least `n`, so that arrays of like size share compiled programs: a few sizes for small ones, and four
-    to each octave for large ones, with less than a fifth of padding."""
+    """A size of at least `n`, so that arrays of similar size share compiled programs: a few sizes for small arrays, and
+    four sizes to each octave for large arrays, with less than a fifth of padding."""
     if n <= _SMALL_SIZES[-1]:
         return next(size for size in _SMALL_SIZES if n <= size)
     step = round_up_to_power_of_two(n) // 8

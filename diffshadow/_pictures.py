@@ -69,7 +69,7 @@ def lit(normals: HostArray, towards: HostArray, albedo: HostArray) -> HostArray:
 
 
 def grey_of(depth: Float[HostArray, "h w"]) -> Float[HostArray, "h w"]:
-    """Window depths as greys, dark where they are least, and white where there is nothing."""
+    """Window depths as greys: dark where depth is least, and white where there is nothing."""
     filled = depth < 1
     low, high = (depth[filled].min(), depth[filled].max()) if filled.any() else (0.0, 1.0)
     return np.where(filled, 0.1 + 0.7 * (depth - low) / max(high - low, np.finfo(np.float32).eps), 1.0)
@@ -81,7 +81,7 @@ def draw_faces(
     colours: Float[HostArray, "f 3"],
     resolution: tuple[int, int],
 ) -> Float[HostArray, "h w 3"] | None:
-    """An image of flat faces on white; none where it would take long.
+    """An image of flat faces on white; none if drawing would take long.
 
     A pixel p = (x, y, 1) lies in a face if the weights c = M⁻¹ p of its corners are all positive, with the corners'
     (x, y, w) as the columns of M. This needs no clipping (Olano & Greer 1997, "Triangle scan conversion using 2D

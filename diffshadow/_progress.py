@@ -4,9 +4,9 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 
 Update = Callable[[str, float | None], None]
-"""Called with a detail, such as the number of a step, and the fraction done; none if that is not known."""
+"""Called with a detail, such as the number of a step, and the fraction done (none if the fraction is not known)."""
 Display = Callable[[str], AbstractContextManager[Update | None]]
-"""Shows the work of a name while its context lasts; none where nobody would see it."""
+"""Shows that work with a name is under way, while its context lasts; none where nobody would see it."""
 
 _installed: list[Display] = []
 
@@ -22,9 +22,9 @@ def showing(name: str, *, unless: bool = False) -> Iterator[Update | None]:
 
     **Arguments:**
 
-    - `unless`: whether the caller is told otherwise, so that nothing is shown.
+    - `unless`: whether the caller learns the state in another way, so that nothing is shown.
 
-    **Yields** what to call with the state of the work; none if nothing is shown.
+    **Yields** a function to call with the state of the work; none if nothing is shown.
     """
     if unless or not _installed:
         yield None

@@ -5,7 +5,7 @@ _AFTER = (" of ", " that ", " without ")
 
 
 def plural(noun: str) -> str:
-    """A noun of regular form in the plural; what follows it, such as " of 3 kinds", stays."""
+    """The plural of a regular noun; text after the noun, such as " of 3 kinds", stays."""
     end = min((noun.index(word) for word in _AFTER if word in noun), default=len(noun))
     first, rest = noun[:end], noun[end:]
     if first.endswith("y") and first[-2:-1] not in "aeiou":
@@ -14,5 +14,5 @@ def plural(noun: str) -> str:
 
 
 def counted(count: int, noun: str) -> str:
-    """A number of things in words, such as "1 entry" or "1,024 entries"."""
+    """A count with its noun, such as "1 entry" or "1,024 entries"."""
     return f"{count:,} {noun if count == 1 else plural(noun)}"

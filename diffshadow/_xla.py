@@ -16,7 +16,7 @@ def use_all_cores() -> None:
     environment.
 
     XLA compiles every loop that it considers small to one program for one core, and wrongly considers loops over whole
-    images small. With the option, XLA considers only loops small whose steps read and write less than 5 kB. XLA keeps
+    images small. With the option, XLA considers a loop small only if its steps read and write less than 5 kB. XLA keeps
     the body of other loops as many programs, and each program runs on all cores. XLA reads its flags when JAX makes its
     first array, so call this function before. Extra options that `XLA_FLAGS` already has are left as they are. The
     command `diffshadow` calls this itself.

@@ -32,8 +32,7 @@ class Console(rich.console.Console):
 
     **Arguments:**
 
-    - `names_stages`: whether a run that prints here prints a line for each of its stages, if this is no terminal, which
-      shows a bar.
+    - `names_stages`: whether a run prints a line for each of its stages here; a terminal shows a bar instead.
     """
 
     def __init__(self, *, width: int | None = None, names_stages: bool = False, **options: Any):
@@ -52,8 +51,8 @@ class Console(rich.console.Console):
 def print_table(console: rich.console.Console, table: Table) -> None:
     """Prints a table, and cuts no number and no word, however narrow the console is.
 
-    Where the table is too wide, text goes on in further lines of its cells, and spaces beside cells are left out. Where
-    that is too wide still, each row is a block, with a line for each cell.
+    If the table is too wide, text continues in further lines of its cells, and spaces beside cells are left out. If the
+    table is still too wide, each row is a block, with a line for each cell.
     """
     columns, between = table.columns, _BESIDE_CELL * len(table.columns) + 1
     whole = [max(map(cell_len, _cells(column))) for column in columns]
@@ -116,7 +115,7 @@ class Command(NamedTuple):
     """A command to copy.
 
     - `why`: what it does, in a sentence.
-    - `words`: what follows the program's name. A path is a `Path`, and any other word a text.
+    - `words`: what follows the program's name. A path is given as a `Path`, and any other word as text.
     """
 
     why: str
@@ -138,7 +137,7 @@ class Command(NamedTuple):
 
 
 def source(given: Path) -> Path | str:
-    """A configuration as a word of a command: `builtin:NAME` is no path."""
+    """A configuration as a word of a command; `builtin:NAME` is not a path."""
     return str(given) if str(given).startswith(BUILTIN) else given
 
 

@@ -86,7 +86,7 @@ SECTIONS: dict[str, tuple[Row, ...]] = {
                 "shadow_map.silhouettes=true",
                 "bias={constant: 1, plane: {type: receiver_plane, deepening: 0}}",
             ),
-            "as small, with outlines within texels",
+            "as small as the map above, with outlines stored within texels",
         ),
         Row("16-bit depths", ("shadow_map.depth_format=unorm16",), "fixed-point depths of 16 bits"),
         Row(
@@ -102,7 +102,7 @@ SECTIONS: dict[str, tuple[Row, ...]] = {
         Row(
             "Midpoint",
             ("bias={constant: 0, slope: 0}", "shadow_map.depth_layer=midpoint"),
-            "between the nearest surfaces",
+            "stores the middle between the two nearest surfaces",
         ),
     ),
     "Biases, with a box of 5 × 5 texels": (
@@ -114,7 +114,7 @@ SECTIONS: dict[str, tuple[Row, ...]] = {
                 "filter={type: pcf, radius: 2.5}",
                 "bias={slope: 0.01, slope_least: 0.001, slope_profile: one_minus_cosine, unit: depth}",
             ),
-            "in window depth, as shader cookbooks print it",
+            "in window depth, as in shader cookbooks",
         ),
         Row(
             "Normal offset",
@@ -129,9 +129,9 @@ SECTIONS: dict[str, tuple[Row, ...]] = {
         Row(
             "Receiver plane, kept shallow",
             ("filter={type: pcf, radius: 2.5}", "bias={plane: {type: receiver_plane, deepening: 0}}"),
-            "as far as the receiver is deep",
+            "the plane never runs deeper than the receiver",
         ),
-        Row("Adaptive", ("bias={plane: {type: adaptive}}",), "with one nearest look-up, for which it is made"),
+        Row("Adaptive", ("bias={plane: {type: adaptive}}",), "with a single nearest look-up, as intended"),
     ),
     "Filters of compares": (
         Row("Four taps", ("filter={type: four_tap}", "bias.slope=2"), ""),
@@ -140,8 +140,8 @@ SECTIONS: dict[str, tuple[Row, ...]] = {
         Row("Castaño 7 × 7", ("filter={type: castano, size: 7}", WIDE), "16 bilinear taps"),
         Row("Random disk, nearest", disk("stratified", 32, ", lookup: nearest"), "32 taps on a disk"),
         Row("Random disk, bilinear", disk("stratified", 32), ""),
-        Row("Early-out", disk("stratified", 32, ", early_out: true"), "spares what 8 taps agree on"),
-        Row("Soft compare", (*disk("stratified", 32), "compare={type: soft, width: 0.5}"), "as fits see it"),
+        Row("Early-out", disk("stratified", 32, ", early_out: true"), "skips the other taps where the first 8 agree"),
+        Row("Soft compare", (*disk("stratified", 32), "compare={type: soft, width: 0.5}"), "the compare that fits use"),
     ),
     "Patterns of a random disk, 16 taps": tuple(
         Row(name.capitalize(), disk(name), note)
@@ -205,17 +205,17 @@ SECTIONS[LAYOUTS] = (
         "fitted to what the camera sees",
     ),
     Row("LiSPSM", ("technique={type: perspective_warp}",), "one map, warped towards the camera"),
-    Row("Perspective", ("technique={type: perspective_warp, method: perspective}",), "for the depths that are seen"),
+    Row("Perspective", ("technique={type: perspective_warp, method: perspective}",), "for the depths in view"),
     Row(
         "Perspective, from near",
         ("technique={type: perspective_warp, method: perspective, depths: camera}",),
-        "too strong: the camera's near is nearer than all that is seen",
+        "too strong: the camera's near plane is much closer than anything in view",
     ),
     Row("Trapezoidal", ("technique={type: perspective_warp, method: trapezoidal}",), ""),
     Row(
         "Resolution-matched",
         ("technique={type: resolution_matched, finest: 65536, level_bias: -8}",),
-        "the pages that the camera needs, of a virtual map of 65536²",
+        "only those pages of a virtual map of 65536² that the camera needs",
     ),
 )
 
@@ -351,23 +351,25 @@ def page_of(stage: Stage, stages: dict[Path, Stage], results: list[tuple[str, Ro
     lines = [
         "# Gallery",
         "",
-        f"One scene, {scene.mesh.faces.shape[0]:,} triangles under a spot light with a size, by every "
-        f"technique; `make gallery` draws this page, from `{config}` and the values in each row. Left of each picture: "
-        "visibility. Right: its difference from the reference, orange where it is too dark and purple where it is too "
-        "light.",
+        f"This page draws one scene with every technique: {scene.mesh.faces.shape[0]:,} triangles under a spot light "
+        f"with a size. `make gallery` makes the page from `{config}` and the values in each row. The left half of each "
+        "picture shows visibility. The right half shows the difference from the reference: orange where the technique "
+        "is too dark, purple where it is too light.",
         "",
         "![Reference](images/gallery/reference.png) ![Shaded with the reference](images/gallery/shaded.png)",
         "",
-        f"The reference, traced with {truth.samples} rays per pixel (its own noise is {truth.noise_floor:.4f} RMSE), "
-        "and the scene shaded with it. Errors are of visibility, under the light's true size: a technique that "
-        "draws hard shadows keeps an error. False shadow is light that is missing outside of shadows (acne), false "
-        "light is light inside of them (leaks, Peter-panning).",
+        f"The two pictures above are the reference, traced with {truth.samples} rays per pixel (its noise is "
+        f"{truth.noise_floor:.4f} RMSE), and the scene shaded with the reference. All errors compare visibility with "
+        "this reference. The light has a size in the reference, so a technique that draws hard shadows always has some "
+        "error. False shadow is missing light outside shadows (acne). False light is light inside shadows (leaks, "
+        "Peter-panning).",
         "",
-        f"Times are medians of {repeats} runs in milliseconds, compilation apart: *light* draws the map, the texture "
-        "or the table of edges, and *shadow* computes visibility from it. "
-        f"{width} × {height} pixels, {columns} × {rows} texels unless said, float32 (volumes and irregular z-buffer: "
-        f"float64), JAX {jax.__version__} on {device.platform} ({platform.machine()}). They were taken on a "
-        "machine that others used too: compare them with each other only.",
+        f"Times are medians of {repeats} runs in milliseconds, without compilation. *Light* is the time to draw the "
+        "map, the texture or the table of edges. *Shadow* is the time to compute visibility from it. The pictures have "
+        f"{width} × {height} pixels, and maps have {columns} × {rows} texels unless the row sets another size. Numbers "
+        "are float32 (float64 for shadow volumes and the irregular z-buffer), with JAX "
+        f"{jax.__version__} on {device.platform} ({platform.machine()}). Other programs ran on the machine, so compare "
+        "times only with each other.",
         "",
     ]
     for section in SECTIONS:
@@ -391,8 +393,9 @@ def own_scene(stage: Stage) -> list[str]:
     return [
         f"![Reference]({start}-reference.png) ![Shaded with the reference]({start}-shaded.png)",
         "",
-        f"Another scene, `{config}`: {triangles:,} triangles under a hard sun, with the camera's far a thousand times "
-        f"its near. Each map has {columns} × {rows} texels.",
+        f"These rows draw another scene, `{config}`: {triangles:,} triangles under a sun without a size. The camera's "
+        "far plane is a thousand times as far away as its near plane. Each map has "
+        f"{columns} × {rows} texels.",
     ]
 
 

@@ -47,8 +47,7 @@ for name, value in result.fitted.items():
     print(f"{name}: {result.initial[name]:.2f} to {value:.2f} texels")
 
 # %% [markdown]
-# **Export.** The fitted values stand at the top, as constants with their units; below them are functions, of which
-# `shadow` is the one to call.
+# **Export.** The fitted values are at the top, as constants with their units. Below them are functions; call `shadow`.
 
 # %%
 shader = shadow.to_shader(result.technique, light)
@@ -57,7 +56,7 @@ print("\n".join(line for line in lines if line.startswith("const") and ("_BIAS =
 print(next(line for line in lines if line.startswith("float shadow(")))
 
 # %% [markdown]
-# **Check.** OpenGL draws one triangle over the whole picture. Its fragment shader holds the exported text, and reads
+# **Check.** OpenGL draws one triangle over the whole picture. Its fragment shader contains the exported text, and reads
 # the receivers' positions and normals from textures. A renderer has these at hand anyway.
 
 

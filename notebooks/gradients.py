@@ -1,10 +1,10 @@
 # %% [markdown]
 # # Gradients: what moves a shadow
 #
-# This notebook draws the gradient of visibility by bias, filter radius and soft compare, by the position and direction
-# of lights, by a mesh's pose and by all of its vertices. Each gradient is drawn over the shadow: orange pixels get
-# lighter as the number grows, and purple pixels get darker. `docs/gradients.md` says which gradients are exact, and
-# what has no gradient.
+# This notebook draws the gradient of visibility with respect to bias, filter radius and soft compare, the position and
+# direction of lights, a mesh's pose, and all of its vertices. Each gradient is drawn over the shadow: orange
+# pixels get lighter as the number grows, and purple pixels get darker. `docs/gradients.md` says which gradients are
+# exact, and what has no gradient.
 
 # %% tags=["hide-input"]
 import dataclasses
@@ -53,7 +53,7 @@ def draw_over(image, gradients):
 
 # %% [markdown]
 # **Bias, radius and width.** The map does not depend on these, so it is drawn once. The compare must be soft, since a
-# hard compare has no gradient by the bias.
+# hard compare has no gradient with respect to the bias.
 
 # %%
 shadow_map = shadow.draw_shadow_map(scene.mesh, sun, (texels, texels))
@@ -88,7 +88,7 @@ ax.grid(True)
 
 # %% [markdown]
 # **A light and a mesh.** Both move the shadow's outline, so the map needs silhouettes. A plan, which is made outside of
-# `jit`, holds the edges and the memory for silhouettes. With silhouettes, any compare works, also a hard one.
+# `jit`, contains the edges and the memory for silhouettes. With silhouettes, any compare works, also a hard one.
 
 # %%
 settings = shadow.MapSettings((texels, texels), silhouettes=True)
@@ -127,11 +127,11 @@ draw_over(
 )
 
 # %% [markdown]
-# A lamp that turns without moving does not move the shadow. So the gradient by its direction is small, and shows the
-# motion of the map's texels.
+# A lamp that turns without moving does not move the shadow. So the gradient with respect to its direction is small, and
+# shows the motion of the map's texels.
 #
-# **All vertices, under several suns.** Reverse mode finds the gradient of one number by any number of inputs. `vmap` maps
-# it over suns. The number is the light on the floor.
+# **All vertices, under several suns.** Reverse mode finds the gradient of one number with respect to any number of
+# inputs. `vmap` maps it over suns. The number is the light on the floor.
 
 # %%
 plan = hard.plan(scene)

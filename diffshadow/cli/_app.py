@@ -69,7 +69,7 @@ def file_of(given: Path, *, sweep: bool = False) -> Path:
 
 
 def loaded(given: Path, overrides: Sequence[str], *, fitting: bool = False) -> Config:
-    """The configuration of a run. Prints what was found for parts that it leaves out."""
+    """The configuration of a run. Prints what was found for the parts that the configuration leaves out."""
     settings = load_config(file_of(given), overrides, fitting=fitting)
     print_notes(settings.notes)
     return settings
@@ -85,7 +85,7 @@ def print_path(path: Path) -> None:
 
 
 def print_end(path: Path | None, commands: Sequence[Command]) -> None:
-    """Prints what to do next, and at last the path that a command made, for scripts."""
+    """Prints what to do next; the last line is the path that a command wrote, for scripts."""
     print_next(Console(), commands[:_MOST_NEXT])
     if path is not None:
         print_path(path)

@@ -46,7 +46,7 @@ def convert(config: Path, /, *overrides: str, engine: EngineName | None = None) 
     given = source(config)
     commands = [study.for_engine(given, overrides, engine), study.to_view(given, overrides)]
     if settings.technique.type == "shadow_map":
-        commands.append(Command("Write it as a shader for a renderer of your own.", ["export", given, *overrides]))
+        commands.append(Command("Write it as a shader for your own renderer.", ["export", given, *overrides]))
     print_end(None, commands)
 
 
@@ -57,8 +57,8 @@ def export(
     """Writes the shadows of CONFIG as a shader for your own renderer.
 
     For the folder of a finished fit, the shader has the fitted values. The folder also has the scene, the light's
-    matrices, and a page that says how to draw the shadow map in OpenGL, WebGPU and Direct3D. Its path is the last line
-    printed.
+    matrices, and a page that says how to draw the shadow map in OpenGL, WebGPU and Direct3D. The path of the shader's
+    folder is the last line printed.
 
     Example: `diffshadow export runs/quickstart`
 

@@ -14,7 +14,7 @@ from ._jax import join_processes, start_jax
 
 @app.command
 def init(template: str = DEFAULT_TEMPLATE, /, *, mesh: Path | None = None, output: Path | None = None) -> None:
-    """Writes a configuration with comments to start from. Its path is the last line printed.
+    """Writes a configuration with comments to start from. The path of the configuration is the last line printed.
 
     Example: `diffshadow init three_js --mesh my_mesh.glb`
 
@@ -101,7 +101,7 @@ def validate(config: Path, /, *overrides: str, preview: bool = False) -> None:
     overrides
         KEY=VALUE pairs that replace values of the file, such as `filter.radius=3`.
     preview
-        Also write a picture of the scene with its mapped shadow. Its path is the last line printed.
+        Also write a picture of the scene with its mapped shadow. The picture's path is the last line printed.
     """
     settings = loaded(config, overrides, fitting=True)
     start_jax()

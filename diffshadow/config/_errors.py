@@ -13,7 +13,7 @@ _LONGEST_SHOWN = 60
 
 @dataclass(frozen=True)
 class Location:
-    """Where something was written: `source` is a file or an override; lines and columns count from 1."""
+    """Where something was written: `source` is a file or an override; lines and columns are counted from 1."""
 
     source: str
     line: int | None = None
@@ -35,7 +35,7 @@ class Origin:
     notes: tuple[str, ...] = ()
 
     def place(self, path: KeyPath) -> Location:
-        """Where `path` was written; otherwise, where its nearest enclosing section was."""
+        """Where `path` was written; if it was not written, where its nearest enclosing section was."""
         for length in range(len(path), -1, -1):
             if path[:length] in self.places:
                 return self.places[path[:length]]
@@ -67,7 +67,7 @@ class Mistake:
 
 
 class ConfigError(ValueError):
-    """A configuration that cannot be used; `mistakes` holds everything that is wrong with it, in reading order."""
+    """A configuration that cannot be used; `mistakes` lists everything that is wrong with it, in reading order."""
 
     mistakes: tuple[Mistake, ...]
 
@@ -114,7 +114,7 @@ def show(value: Any) -> str:
 
 
 def plain(number: float) -> str:
-    """`number` as one writes it: 5 rather than 5.0."""
+    """`number` as people write it: 5 rather than 5.0."""
     return str(number).removesuffix(".0")
 
 

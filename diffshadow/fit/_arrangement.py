@@ -95,8 +95,8 @@ class Arrangement(eqx.Module):
     - `technique`: the shadow mapping.
     - `lights`: the pose of each light.
     - `meshes`: the pose of each mesh.
-    - `camera`, `shading`, `exposure`: the camera's pose, the shading, and by how many stops the picture is brightened,
-        for a fit to a picture; `None` in other fits.
+    - `camera`, `shading`, `exposure`: for a fit to a picture, the camera's pose, the shading, and by how many stops the
+        picture is brightened; `None` in other fits.
     """
 
     technique: ShadowMapping
@@ -128,8 +128,8 @@ class Arrangement(eqx.Module):
         return cls.of(technique, scene.lights, meshes).pictured(scene, shading, exposure)
 
     def pictured(self, scene: Scene, shading: AbstractShading, exposure: float) -> "Arrangement":
-        """The same with the values that only pictures of `scene` need: the camera's pose, the `shading`, and the
-        `exposure` in stops."""
+        """The same arrangement, with the values that only pictures of `scene` need: the camera's pose, the `shading`,
+        and the `exposure` in stops."""
         return dataclasses.replace(self, camera=scene.camera.pose(), shading=shading, exposure=as_float(exposure))
 
     def placed(self, scene: Scene) -> Scene:
@@ -146,5 +146,5 @@ class Arrangement(eqx.Module):
 
 
 def is_of_technique(path: str) -> bool:
-    """Whether the number that `path` leads to is the technique's."""
+    """Whether the number that `path` leads to belongs to the technique."""
     return path.startswith("technique.")

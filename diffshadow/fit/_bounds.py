@@ -20,7 +20,7 @@ _FALLS = 1e-3
 class AtBound(NamedTuple):
     """A value that ended on a bound.
 
-    - `name`: of the parameter; `side`: of its bounds; `value`: of the bound.
+    - `name`: name of the parameter; `side`: which of its bounds; `value`: value of the bound.
     - `falls`: whether the error under the hard compare still falls there, so that wider bounds may lower it.
     """
 
@@ -31,7 +31,8 @@ class AtBound(NamedTuple):
 
 
 def at_bounds(run: Run, parameters: Sequence[Parameter], values: Values) -> list[AtBound]:
-    """The parameters that `values` has on a bound. The error is evaluated there and further inside for each of them.
+    """The parameters whose values lie on a bound. The error is evaluated at the bound and further inside, for each
+    parameter.
 
     **Arguments:** `values`: counted from the parameters' offsets.
     """

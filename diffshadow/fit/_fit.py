@@ -43,14 +43,14 @@ class FitResult:
         was best. If losses differ by less than the solver's `noise`, the last phase is chosen.
     - `history`: every evaluation, in order.
     - `flat`: names of the parameters that were not fitted: they kept their start, where the loss has no slope.
-    - `seconds_compiling`, `seconds_running`: of the whole fit.
+    - `seconds_compiling`, `seconds_running`: times of the whole fit.
     - `arrangement`: the fitted technique, lights and meshes, where lights or meshes were fitted.
     - `precision`: how well the values are determined; `None` if the start was best, or for a loss of your own.
     - `starts`: how each of several starts went; `phases` and `initial` belong to the best.
     - `enlargements`: how often a phase was repeated with memory for more silhouettes.
-    - `profiles`: of the parameters, around the best values, if intervals were asked for.
-    - `best`: the values of the least error, by name. They differ from `fitted` only if `Sureness.prefer` is given.
-    - `front`: the front of false shadow against false light, if asked for.
+    - `profiles`: the parameters' error profiles around the best values, if intervals were requested.
+    - `best`: the values with the least error, by name. They differ from `fitted` only if `Sureness.prefer` is given.
+    - `front`: the front of false shadow against false light, if requested.
     - `at_bounds`: the fitted values that ended on a bound, and whether the error still falls there.
     - `errors`: the square roots of the loss under the hard compare, at the start and at the best values; 0 if a loss of
         your own is negative.
@@ -135,20 +135,21 @@ def fit(
         stacked.
     - `parameters`: the fitted numbers with their bounds.
     - `solver`: a `Solver`, or any least-squares solver or minimiser of optimistix, such as `optimistix.BFGS(1e-4,
-        1e-6)`. `Solver(method=...)` gives the latter another number of steps.
+        1e-6)`. Wrap it in `Solver(method=...)` for another number of steps.
     - `anneal`: how the compare hardens. A fit of poses anneals in its last phases if it also fits a bias.
-    - `loss`: of the errors of several problems; by default the mean over all pixels. Or a function of three images (h,
-        w), predicted, reference and mask (whether each pixel counts), that returns an array of residuals, whose squares
-        are summed, or a number, 0 or more. It is called once for each image, and the loss is the mean over all images.
-        Where no pixel counts, the predicted image is the reference. Both images are blurred in the phases of a fit of
-        poses. A number needs a minimiser: `Solver("bfgs")`, which is then the default, `"lbfgs"`, `"adam"`, or one of
-        optimistix. An `equinox.Module` may hold arrays; those in a plain function's closure become constants of its
-        compiled program.
+    - `loss`: a loss of the errors of several problems; by default the mean over all pixels. Or a function of three
+        images (h, w), predicted, reference and mask (whether each pixel counts), that returns an array of residuals,
+        whose squares are summed, or a number, 0 or more. It is called once for each image, and the loss is the mean
+        over all images. Where no pixel counts, the predicted image is the reference. Both images are blurred in the
+        phases of a fit of poses. A number needs a minimiser: `Solver("bfgs")`, which is then the default, `"lbfgs"`,
+        `"adam"`, or one of optimistix. An `equinox.Module` may hold arrays; those in a plain function's closure become
+        constants of its compiled program.
     - `search`, `sureness`: where the fit searches, and which intervals and fronts around the best values it computes.
     - `on_step`: called with every evaluation of the loss, while the fit runs; also with evaluations of a phase that is
         then repeated with memory for more silhouettes. An error in `on_step` ends the fit, and `fit` raises this error.
     - `progress`: called with the current stage of the fit, as text, and with the finished fraction, or `None` if the
-        fraction is not known. If neither of these two is given, `diffshadow.setup` decides whether a line shows it.
+        fraction is not known. If neither `progress` nor `on_step` is given, `diffshadow.setup` decides whether a line
+        shows the progress.
 
     **Raises** `ValueError` if there are no parameters, one does not exist, is named twice or has bounds that the
     technique does not allow, another argument is out of its range, no pixel counts, the visibility is not finite or the
@@ -254,9 +255,9 @@ def _check_parameters(parameters: Any) -> None:
 
 
 def check_loss(loss: LossFunction, solver: Solver, shape: tuple[int, int]) -> None:
-    """Checks a loss of one's own for images of this `shape`, (height, width), as `fit` does.
+    """Checks your own loss for images of this `shape`, (height, width), as `fit` does.
 
-    **Raises** `TypeError` unless it returns what a loss returns; `ValueError` if that is a number, and the solver needs
+    **Raises** `TypeError` unless it returns a valid loss; `ValueError` if it returns a number and the solver needs
     residuals.
     """
     own = OwnLoss.of(loss, [shape])

@@ -33,12 +33,12 @@ Sides = tuple[float, float]
 class FrontPoint(NamedTuple):
     """A Pareto-optimal setting: no other setting that was found has both less false shadow and less false light.
 
-    - `values`: of the parameters, (p,).
+    - `values`: values of the parameters, (p,).
     - `false_shadow`, `false_light`: square roots of the losses of the pixels that are too dark, and of the pixels that
         are too light. For a mean over the pixels, the sum of their squares is the loss.
     - `ratio`: the weight of false shadow divided by the weight of false light. This setting has the least weighted sum
         of squares among all settings that were found.
-    - `rmse`: over all pixels that count, also if the fit has another loss.
+    - `rmse`: the RMSE over all pixels that count, even if the fit has another loss.
     - `is_knee`: whether it is farthest from the line between the ends of the front, with each error in units of its
         range. Beyond the knee, one error grows much while the other falls little. Its RMSE may be far from the least.
     """
@@ -55,12 +55,12 @@ def front_of(run: Run, best: Values, count: int) -> list[FrontPoint]:
     """The front, from the setting with the least sum where false shadow weighs 256 times as much as false light to the
     one where it weighs a 256th, with the setting of the least loss between them.
 
-    Settings over all of the bounds are tried first. Each end is then searched from `best` and from the best of these,
-    by gradient and by a search under the hard compare. Between neighbours, the weighted sum that is equal for both is
-    made least, from both sides, which finds a setting below the line between them if there is one (the noninferior set
-    estimation of Cohon, Church & Sheer 1979). Only the hard compare judges.
+    Settings over all of the bounds are tried first. Each end is then searched from `best` and from the best of these
+    settings, by gradient and by a search under the hard compare. Between two neighbours, the fit minimises the weighted
+    sum that is equal for both, starting from both. This finds a setting below the line between them, if there is one
+    (noninferior set estimation, Cohon, Church & Sheer 1979). Only the hard compare judges.
 
-    **Returns** at most `count` settings. There are fewer if no more were found whose errors differ.
+    **Returns** at most `count` settings. There are fewer points if no more with different errors were found.
     """
     found = _Settings(run)
     found.add(best)

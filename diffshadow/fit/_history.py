@@ -20,8 +20,9 @@ from ._parameters import Parameters
 class Step(NamedTuple):
     """One evaluation of the loss during a fit.
 
-    - `phase`: from 0; `step`: within the phase, from 0; `width`: of the soft compare, in texels, 0 for the hard one.
-    - `loss`: the mean square error under that compare, or a user's loss; `values`: of the parameters there.
+    - `phase`: number of the phase, from 0; `step`: number of the step within the phase, from 0; `width`: width of the
+        soft compare, in texels; 0 for the hard compare.
+    - `loss`: the mean square error under that compare, or a user's loss; `values`: the parameters' values there.
     - `start`: the number of the start that the fit is at, from 0.
     """
 
@@ -36,8 +37,8 @@ class Step(NamedTuple):
 def shown_steps(
     update: Update, phases: Sequence[Any], starts: int, is_own_loss: bool, on_step: Callable[[Step], None] | None
 ) -> Callable[[Step], None]:
-    """Passes each step to `on_step`, and says it to `update`. Of `phases`, those that all of several `starts` run have
-    no known number."""
+    """Passes each step to `on_step`, and shows it by `update`. With several `starts`, the number of steps is unknown if
+    only the best start runs some of the `phases`."""
     count = len(phases) * starts if starts == 1 or all(phase.shared for phase in phases) else None
 
     def show(step: Step) -> None:
@@ -52,9 +53,10 @@ def shown_steps(
 
 
 class Report(eqx.Module):
-    """What optimistix calls at every step: hands the numbers to the reporter that `token` names.
+    """optimistix calls this at every step; it passes the numbers to the reporter that `token` names.
 
-    `ordered`: whether JAX keeps the order. A program of several devices cannot; the first of them reports, in its own.
+    `ordered`: whether JAX keeps the order. A program on several devices cannot keep an order; the first device reports,
+    in its own order.
     """
 
     token: Array
@@ -68,8 +70,8 @@ class Report(eqx.Module):
 def report_loss(token: Array, loss: Array, y: Float[Array, " a"]) -> None:
     """Reports an evaluation of the `loss` at `y`, when the program runs; `token` names the reporter.
 
-    For solvers that call no `Report`. A solver may evaluate several places at once, so there is no other order than
-    the program's own.
+    For solvers that call no `Report`. A solver may evaluate several places at once, so reports come in the program's
+    own order.
     """
     jax.debug.callback(_dispatch, token, loss, y)
 
@@ -101,7 +103,7 @@ def _dispatch_overflow(token, overflow, y):
 
 
 class Reporter:
-    """Collects the steps of one fit. A compiled phase outlives it, so it is found by number.
+    """Collects the steps of one fit. A compiled phase outlives its reporter, so the reporter is found by number.
 
     `with_offsets`: adds the parameters' offsets to the values of a step.
     """
@@ -129,7 +131,7 @@ class Reporter:
         **Arguments:**
 
         - `free`: (p,), the free values of all parameters; `active`: the indices of parameters that the phase changes.
-        - `scale`: of the residuals that the solver sees.
+        - `scale`: scale of the residuals that the solver sees.
         """
         self.phase, self.width, self.step, self.scale = phase, width, 0, scale
         self.free, self.active = np.array(free), active
@@ -143,16 +145,16 @@ class Reporter:
         self.step = 0
 
     def add(self, loss: float, y: np.ndarray) -> None:
-        """One more evaluation, of `loss` at the free values `y` (a,) of the active parameters.
+        """Adds an evaluation of `loss` at the free values `y` (a,) of the active parameters.
 
-        Values that are not finite are left out: dogleg tries such where the Jacobian is singular, as on a bound, and
-        goes on from the place before.
+        Values that are not finite are left out: dogleg tries them where the Jacobian is singular, as on a bound, and
+        then continues from the previous place.
         """
         if np.isfinite(y).all():
             self.record(loss / self.scale**2, self._values(y))
 
     def record(self, loss: float, values: tuple[float, ...]) -> None:
-        """One more evaluation, of `loss` at `values` (p,) of all parameters."""
+        """Adds an evaluation of `loss` at `values` (p,) of all parameters."""
         step = Step(self.phase, self.step, self.width, loss, self.with_offsets(values), self.start)
         self.step += 1
         self.history.append(step)
@@ -171,7 +173,8 @@ class Reporter:
 
     @contextlib.contextmanager
     def own_errors(self) -> Iterator[None]:
-        """Raises what `on_step` has raised in a program, in place of the error that JAX makes of it and logs."""
+        """Raises the error that `on_step` raised within a program, in place of the error that JAX makes from it and
+        logs."""
         log, is_foreign = logging.getLogger(jax.debug.callback.__module__), lambda _: self.error is None
         log.addFilter(is_foreign)
         try:

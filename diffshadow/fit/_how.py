@@ -16,9 +16,9 @@ from .problems import Joint, check_falling
 class Search:
     """Where a fit searches, and how many pixels a step evaluates.
 
-    - `starts`: how many starts are tried: the initial values, and a Sobol sequence over the bounds. The start that is
-        best after the first blurs, under the hard compare, continues.
-    - `seed`: of the starts.
+    - `starts`: how many starts are tried: the initial values, and then a Sobol sequence over the bounds. The start that
+        is best after the first blurs, under the hard compare, continues.
+    - `seed`: seed of the starts.
     - `blurs`: for a fit of poses, the falling standard deviations in pixels of the Gaussian under which images are
         compared. Phases before the last move poses only; a phase under the best blur for the map's texels follows. If
         left out, widths fall from an eighth of the images' shorter side to 3, each about a third of the previous width.
@@ -53,9 +53,10 @@ class Sureness:
 
     - `within`: for each of these fractions ε, finds the interval of every parameter in which the error stays below
         (1 + ε) times the best, while the others are fitted again.
-    - `prefer`, `tolerance`: names of parameters, and the bound, `"lower"` or `"upper"`, to which they should come
-        close. The result is chosen among all values whose error is at most (1 + `tolerance`) times the best: the first
-        parameter goes as far as possible, then the second, and so on. Like `within`, only for fits of a technique.
+    - `prefer`, `tolerance`: the preferred parameters, by name, each with the bound that it should come close to,
+        `"lower"` or `"upper"`; and how much larger the error may be. The result is chosen among all values whose error
+        is at most (1 + `tolerance`) times the best: the first parameter goes as far as possible, then the second, and
+        so on. Like `within`, only for fits of a technique.
     - `front`: the number of settings on the front, 3 or more; each minimises a weighted sum of false shadow and false
         light. 0 for no front. Only for fits of a technique, with a loss that has factors for both.
 
@@ -75,19 +76,19 @@ class Sureness:
             raise ValueError(f"Sureness.front is {self.front}; expected 0, or {FEWEST_POINTS} or more")
 
     def check(self, joint: Joint, names: list[str]) -> None:
-        """**Raises** `ValueError` for intervals and fronts that a fit of the parameters with these `names` cannot
-        have."""
+        """**Raises** `ValueError` for intervals and fronts that are not possible for a fit of the parameters
+        `names`."""
         if (self.within or self.prefer) and joint.moves:
-            raise ValueError("intervals or preferences are asked for in a fit of lights or meshes; expected none there")
+            raise ValueError("intervals or preferences were requested for a fit of lights or meshes; expected none")
         for name, _ in self.prefer:
             if name not in names:
                 raise ValueError(f"{name} is preferred and not fitted; expected one of {', '.join(names)}")
         if self.front and joint.moves:
             raise ValueError(
-                f"a front of {self.front} points is asked for in a fit of lights or meshes; expected none there"
+                f"a front of {self.front} points was requested for a fit of lights or meshes; expected no front"
             )
         if self.front and joint.own is not None:
             raise ValueError(
-                f"a front of {self.front} points is asked for with a loss of your own; expected a fit.Loss, which has "
+                f"a front of {self.front} points was requested with a loss of your own; expected a fit.Loss, which has "
                 "factors of false shadow and of false light"
             )

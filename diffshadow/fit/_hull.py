@@ -31,12 +31,13 @@ _LEAST_SINE = 0.1
 
 
 class Outline(NamedTuple):
-    """A shadow as its light sees it, in a plane across the light: at the light's distance 1, if the light has a place.
+    """A shadow as its light sees it, in a plane perpendicular to the light's direction: at distance 1 from the light,
+    if the light has a position.
 
     - `frame`: (3, 3), rows to the right, upwards, and along the light; `source`: (3,), the light's place, or any point
         if it has none; `is_directional`: whether it has none.
-    - `distance`: (n, n), signed distance from the shadow's outline, positive in the shadow; `low`, `step`: the place of
-        the first, and the distance between them.
+    - `distance`: (n, n), signed distance from the shadow's outline on a grid, positive in the shadow; `low`, `step`:
+        the grid's first point, and the distance between points.
     """
 
     frame: Float[HostArray, "3 3"]
@@ -78,7 +79,7 @@ class Outline(NamedTuple):
         return found * scale
 
     def size(self, at: Float[HostArray, "3"]) -> float:
-        """The longer side of the shadow at a point's distance from the light, in world units."""
+        """The longer side of the shadow, in world units, at a point's distance from the light."""
         rows, columns = np.nonzero(self.distance > 0)
         _, scale = _in_plane(self.frame, self.source, self.is_directional, at)
         return float(max(np.ptp(rows), np.ptp(columns)) + 1) * self.step * float(scale)
@@ -132,7 +133,7 @@ def hull_start(
 
     **Arguments:**
 
-    - `faces`: about how many, and not more.
+    - `faces`: about how many faces the mesh has, and at most.
     - `symmetry`: (a, b, c, d), a plane a x + b y + c z = d across which the mesh is its own mirror image.
 
     **Raises** `ValueError` for fewer than two views from different directions, or for shadows that no shape casts.

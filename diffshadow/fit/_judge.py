@@ -30,8 +30,8 @@ class Judge:
 
     - `joint`: the problems, with maps laid out for the values that were judged last.
 
-    A method of a joint problem, even one that does nothing, takes a tenth of a second for a thousand images. So most of
-    what is here calls those of stacks of them.
+    A method of a joint problem, even one that does nothing, takes a tenth of a second for a thousand images. So most
+    functions here call methods of stacks of problems.
     """
 
     def __init__(self, joint: Joint, parameters: Parameters):
@@ -65,7 +65,7 @@ class Judge:
         return found
 
     def sides(self, values: Float[Array, " p"]) -> tuple[float, float]:
-        """The losses at `values` (p,) of what is too dark, and of what is too light."""
+        """The losses at `values` (p,) of pixels that are too dark, and of pixels that are too light."""
         self._lay_out(values)
         if self._is_stacked:
             dark, light = self._together(values, self.loss).sides
@@ -84,8 +84,8 @@ class Judge:
         self.joint = enlarged(self.joint, self.parameters, values[None])
 
     def seen_by(self, phase: Phase, values: Float[Array, " p"]) -> Joint:
-        """The stacks of a sample of the pixels that a step of `phase` of a fit of a technique evaluates from `values`
-        (p,), or of all of them."""
+        """The stacks of the pixels that a step of `phase` evaluates from `values` (p,) in a fit of a technique: a
+        sample of them, or all."""
         self._lay_out(values)
         # A user's loss may compare neighbours, so it sees whole images.
         pixels = None if phase.joint.own is not None or self._count <= phase.pixels else phase.pixels

@@ -16,7 +16,7 @@ from .._types import HostArray
 
 
 def neighbours(count: int, faces: Int[HostArray, "f 3"]) -> Any:
-    """Which of so many vertices share an edge: a sparse matrix (count, count) of ones."""
+    """A sparse matrix (count, count) that is 1 where two of the `count` vertices share an edge."""
     pairs = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
     pairs = pairs[pairs[:, 0] != pairs[:, 1]]
     near = sparse.coo_array((np.ones(len(pairs)), pairs.T), shape=(count, count))
@@ -26,7 +26,8 @@ def neighbours(count: int, faces: Int[HostArray, "f 3"]) -> Any:
 class LargeSteps:
     """u = (I + λ L) x of vertices x, with the uniform Laplacian L; only `free` vertices have a u.
 
-    The matrix is symmetric, so the gradient by u is also its solution, for the gradient by x.
+    The matrix is symmetric, so the gradient with respect to u solves the same system for the gradient with respect to
+    x.
     """
 
     def __init__(
@@ -56,5 +57,5 @@ class LargeSteps:
         return found
 
     def gradient_of(self, gradient: Float[HostArray, "v 3"]) -> Float[HostArray, "n 3"]:
-        """The gradient by u, from `gradient` by the vertices."""
+        """The gradient with respect to u, from the `gradient` with respect to the vertices."""
         return self._solve(gradient[self._free])

@@ -51,8 +51,8 @@ def grid_points(low: Float[HostArray, " d"], step: float, shape: tuple[int, ...]
 def grid_round(
     low: Float[HostArray, "3"], high: Float[HostArray, "3"], cells: int
 ) -> tuple[Float[HostArray, "3"], float, tuple[int, ...]]:
-    """A grid whose step is the longest side of a box over `cells`, with two more cells on each side: its first point,
-    its step and its shape."""
+    """A grid around a box, with `cells` steps along the box's longest side and two more cells on each side: its first
+    point, its step and its shape."""
     step = float((high - low).max()) / cells
     return low - (2 + _OFF) * step, step, tuple((np.ceil((high - low) / step).astype(int) + 5).tolist())
 
@@ -60,10 +60,10 @@ def grid_round(
 def level_set(field: Field, faces: int, mirror: tuple[float, ...] | None = None) -> Triangles:
     """The closed surface on which a field is zero, of about `faces` triangles and not more, wound outwards.
 
-    No two vertices share a place. Small parts are left out.
+    No two vertices have the same position. Small parts are left out.
 
-    **Arguments:** `mirror`: (a, b, c, d), a plane a x + b y + c z = d. The surface is that of the half where this is at
-    least d, and of its mirror image.
+    **Arguments:** `mirror`: (a, b, c, d), a plane a x + b y + c z = d. The surface is taken from the half where this
+    sum is at least d, and mirrored.
 
     **Raises** `ValueError` for a field that is positive nowhere.
     """

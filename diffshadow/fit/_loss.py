@@ -31,7 +31,8 @@ class Loss(CheckedModule):
     - `over`: `"mean"`, the mean over all pixels; `"worst"`, the greatest E; `"cvar"`, the mean of E over the worst
         `fraction` of pixels when images are sorted by E (conditional value at risk, Rockafellar & Uryasev 2000).
     - `fraction`: for `"cvar"`.
-    - `false_shadow`, `false_light`: factors of the squares where an image is too dark, and where it is too light.
+    - `false_shadow`, `false_light`: factors of the squared differences where an image is too dark, and where it is too
+        light.
     - `power`: p, with which the loss is smooth; None for the loss itself. With sₖ the share of all pixels that image k
         has, the greatest E is replaced by the mean (Σ sₖ Eₖᵖ)^(1/p), and the mean over the worst fraction α by
 
@@ -74,7 +75,7 @@ class Loss(CheckedModule):
         return eqx.tree_at(factors, self, (as_float(dark * root), as_float(light / root)))
 
     def signed(self, difference: Float[Array, "*n"]) -> Float[Array, "*n"]:
-        """A difference of visibilities, times the square root of the factor of its sign."""
+        """A difference of visibilities, times the square root of the factor for its sign."""
         factor = jnp.where(difference > 0, self.false_light, self.false_shadow)
         # The square root has no derivative at 0, and the factors need none.
         return difference * jnp.sqrt(jax.lax.stop_gradient(factor))
@@ -108,7 +109,8 @@ class Loss(CheckedModule):
         with cₖ = (p - 1) wₖ Eₖ for the mean of power p, and cₖ = p sₖ σ'(zₖ) Eₖ² / (α t) for the worst fraction α,
         where σ is the logistic function and zₖ = p (Eₖ / t - 1).
 
-        **Arguments:** `gradients`: (v, p), of the errors. **Returns:** (v, p), or `None` if there is no such term.
+        **Arguments:** `gradients`: (v, p), gradients of the errors. **Returns:** (v, p), or `None` if there is no such
+        term.
         """
         if self.power is None:
             return None

@@ -36,7 +36,8 @@ class MovingLights(NamedTuple):
 
     @classmethod
     def of(cls, groups: Sequence[ShapeView], middle: Float[HostArray, "3"]) -> "MovingLights":
-        """Of the lights of groups of views; `middle`: of the shape, from which distances are counted."""
+        """Takes the poses of the lights of groups of views; `middle`: the middle of the shape, from which distances are
+        counted."""
         lights, starts, treedefs, lengths = [], [], [], []
         for group in groups:
             pose = _poses(group.light)
@@ -74,7 +75,8 @@ class MovingLights(NamedTuple):
         return self.groups if poses is None else [_placed(*each) for each in zip(self.groups, poses, strict=True)]
 
     def in_degrees(self, gradient: Sequence[LightPose]) -> Float[HostArray, " m"]:
-        """The gradient by the numbers as one by degrees, 0 for those that stay."""
+        """Converts the gradient with respect to the numbers into one with respect to degrees; 0 for numbers that
+        stay."""
         parts = [np.stack([np.asarray(leaf, float) for leaf in jax.tree.leaves(pose)], axis=-1) for pose in gradient]
         return self._flat([part * length for part, length in zip(parts, self.lengths, strict=True)])
 

@@ -21,7 +21,7 @@ _EXPECTED = (
 
 
 class Seen(NamedTuple):
-    """What a loss compares: an image (h, w), or several of one size (n, h, w).
+    """The images that a loss compares: one (h, w), or several of one size (n, h, w).
 
     - `predicted`: where no pixel counts, it is the reference.
     - `mask`: the pixels that count.
@@ -40,7 +40,7 @@ class Seen(NamedTuple):
 
 
 class OwnLoss(eqx.Module):
-    """A user's loss: the mean, over all images, of what `function` makes of each.
+    """A user's loss: the mean, over all images, of the result of `function`.
 
     - `function`: any callable, such as a function or an `equinox.Module`, whose arrays are arguments of compiled
         programs.
@@ -55,7 +55,7 @@ class OwnLoss(eqx.Module):
     def of(cls, function: Any, shapes: Iterable[tuple[int, ...]]) -> "OwnLoss":
         """The loss of images of these `shapes`, (h, w), for which `function` is traced.
 
-        **Raises** `TypeError` if it is no function of three images, or does not return what a loss returns.
+        **Raises** `TypeError` if it is not a function of three images, or does not return a valid loss.
         """
         if not callable(function) or isinstance(function, type):
             given = f"the class {function.__name__}" if isinstance(function, type) else f"of type {_name(function)}"

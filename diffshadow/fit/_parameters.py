@@ -22,11 +22,11 @@ class Parameter(eqx.Module):
 
     - `name`: for results and messages.
     - `initial`, `lower`, `upper`: its start and its bounds.
-    - `unit`: of all three, for reports.
+    - `unit`: unit of all three, for reports.
     - `path`: dotted path to the number, such as `"filter.radius"`; by default the parameter's name. A path may stop at
         a module that holds one number: `"bias.constant"` means `"bias.constant.value"`.
     - `offset`: the origin's coordinate, for a coordinate in a scene that has an origin. The number at `path` is the
-        parameter's value minus the offset. A value far from 0 keeps its digits in this way.
+        parameter's value minus the offset. In this way, a value far from 0 keeps its digits.
 
     **Raises** `ValueError` unless `lower <= initial <= upper` and `lower < upper`, all finite.
 
@@ -134,8 +134,8 @@ def with_parameters(module: PyTree, parameters: Sequence[Parameter], values: Seq
 def resolve(module: PyTree, name: str) -> Any:
     """The leaf of `module` that the dotted path `name` means.
 
-    **Raises** `ValueError` if there is none, if the path stops at a module that holds several numbers, or if what it
-    names is no single number that has a gradient.
+    **Raises** `ValueError` if there is no such leaf, if the path stops at a module with several numbers, or if the leaf
+    is not a single number that has a gradient.
     """
     try:
         found = _follow(module, name)

@@ -46,11 +46,11 @@ class Phase(NamedTuple):
 
     - `joint`: the problems at its resolution and with its compare.
     - `active`: the indices of the parameters that it changes.
-    - `width`: of its soft compare in texels; 0 for the hard one.
-    - `shared`: whether all of several starts run it, or only the best of them.
-    - `stop`: where its solver ends, besides its tolerances.
-    - `searched`: the part of the bounds that it searches, about the values so far; 0 for a phase by gradient.
-    - `pixels`: the most of them that a step of a fit of a technique evaluates.
+    - `width`: width of its soft compare in texels; 0 for the hard compare.
+    - `shared`: whether all starts run the phase, or only the best start.
+    - `stop`: when its solver ends, in addition to its tolerances.
+    - `searched`: the part of the bounds that it searches, around the values so far; 0 for a phase by gradient.
+    - `pixels`: the most pixels that a step evaluates, in a fit of a technique.
     """
 
     joint: Joint
@@ -73,7 +73,7 @@ class Phase(NamedTuple):
         return tuple(problem.blur_in_pixels for problem in each for _ in range(np.size(problem.count)))
 
     def with_memory_of(self, joint: Joint) -> "Phase":
-        """With as much memory for silhouettes as the problems of `joint` have."""
+        """The same phase, with as much memory for silhouettes as the problems of `joint` have."""
         grown = tuple(own.with_memory_of(like) for own, like in zip(self.joint.problems, joint.problems, strict=True))
         return self._replace(joint=dataclasses.replace(self.joint, problems=grown))
 
@@ -81,7 +81,7 @@ class Phase(NamedTuple):
 def phases_of(
     joint: Joint, paths: Sequence[str], anneal: Anneal, blurs: Sequence[float] | None, pixels: int
 ) -> list[Phase]:
-    """The phases of a fit of the numbers at `paths`, whose steps evaluate about `pixels` of them at most.
+    """The phases of a fit of the numbers at `paths`. Their steps evaluate about `pixels` pixels at most.
 
     **Raises** `ValueError` if the blurs do not suit the problems, or a number lays out maps while lights or meshes
     move.
@@ -129,7 +129,7 @@ def _blurred(joint: Joint, blur: float) -> Joint:
 
 
 def enlarged(joint: Joint, parameters: Parameters, values: Float[Array, "k p"]) -> Joint:
-    """With memory for several times the silhouettes at each row of `values` (k, p)."""
+    """The same phases, with memory for several times the silhouettes at each row of `values` (k, p)."""
 
     def grown(problem: ArrangedProblem) -> ArrangedProblem:
         for there in values:

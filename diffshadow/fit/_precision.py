@@ -55,9 +55,9 @@ class Precision(NamedTuple):
     by a part of a texel, to K = 4 places. Grid k has the residuals rₖ and the step δₖ = -(JᵀB²J)⁻¹ JᵀB² rₖ: how far
     away, to first order, the fit would have ended on that grid. The mean (1/K) Σₖ δₖ δₖᵀ is the third part.
 
-    The third part is missing in fits of a technique alone, which draw no map again. It is δδᵀ for maps without a
-    regular grid of texels: warped maps, and maps with pages or with cascades of several sizes. Deviations for casters
-    thinner than a texel are then too small.
+    The third part is missing in fits of a technique alone, which draw no map again. The third part is δδᵀ for maps
+    without a regular grid of texels: warped maps, and maps with pages or with cascades of several sizes. Deviations for
+    casters thinner than a texel are then too small.
 
     - `names`: the parameters whose gradient is not zero throughout.
     - `deviations`: their standard deviations, in their units; large for undetermined parameters.
@@ -74,14 +74,14 @@ class Precision(NamedTuple):
 def on_grids(
     joint: Joint, own: Sequence[Float[Array | HostArray, "..."]], roots: Float[HostArray, " v"]
 ) -> list[Float[HostArray, "k _ _"]]:
-    """The differences at the end of a phase, (k, h, w) for each image: with the texels of maps in their places, and
-    then, in fits of lights or meshes, with these moved.
+    """The differences at the end of a phase, (k, h, w) for each image: first with the maps' texels in their places, and
+    then, in fits of lights or meshes, with the texels moved.
 
     **Arguments:**
 
-    - `joint`: of the phase, with the values at its end.
+    - `joint`: the joint problem of the phase, with the values at its end.
     - `own`: its differences with the texels in their places, with the loss's weights.
-    - `roots`: (v,), of these weights.
+    - `roots`: (v,), roots of these weights.
     """
     grids = [_each_image(own)]
     for shift in _SHIFTS if joint.moves else ():
@@ -115,7 +115,7 @@ def precision_of(
     - `slopes`: (p, h, w), their derivatives with respect to each parameter's fraction of the distance `span` (p,)
         between its bounds.
     - `blurs`: standard deviation, in pixels, of the Gaussian under which each image is compared; 0 for none.
-    - `channels`: so many images in a row are channels of one picture, whose residuals are correlated.
+    - `channels`: how many images in a row are the channels of one picture, whose residuals are correlated.
     """
     images = list(zip(differences, slopes, blurs, strict=True))
     if not all(np.isfinite(difference).all() and np.isfinite(slope).all() for difference, slope, _ in images):

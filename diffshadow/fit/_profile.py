@@ -29,7 +29,7 @@ Bound = Literal["lower", "upper"]
 class End(NamedTuple):
     """An end of an interval.
 
-    - `value`: of the parameter.
+    - `value`: value of the parameter.
     - `error`: the root of the loss there, with the other parameters fitted again.
     - `is_bound`: whether the error stays within the limit up to the parameter's bound.
     """
@@ -104,9 +104,10 @@ class Profiler:
         )
 
     def preferred(self, order: Sequence[tuple[str, Bound]], within: float) -> Trial:
-        """The trial that goes furthest towards the sides in `order`, with an error of at most `1 + within` of the best.
+        """The trial that goes furthest towards the sides in `order`, with an error of at most `1 + within` times the
+        best.
 
-        The first parameter goes as far as it can; the next as far as it then can, and so on.
+        The first parameter goes as far as possible, then the next goes as far as is still possible, and so on.
         """
         names = [p.name for p in self.parameters]
 

@@ -15,7 +15,8 @@ _PROGRAMS: OrderedDict[Any, Any] = OrderedDict()
 
 
 def compiled(function: Any, arguments: tuple[Any, ...]) -> Any:
-    """What `function`, by `eqx.filter_jit`, compiles to for arguments of these shapes, types and static fields.
+    """The program that `eqx.filter_jit` compiles from `function` for arguments of these shapes, types and static
+    fields.
 
     The programs used last are kept.
     """

@@ -15,11 +15,11 @@ _LEAST_AREA = 1e-9
 
 
 class Regularizers:
-    """Penalties of meshes with the same faces, and their derivative by the vertices.
+    """Penalties of meshes with the same faces, and their derivative with respect to the vertices.
 
     - Normal consistency: the mean, over pairs of faces that share an edge, of 1 minus the cosine of the angle between
         their normals.
-    - Edge length: the mean of the squares of lengths, as a fraction of that at the start.
+    - Edge length: the mean of the squares of lengths, as a fraction of this mean at the start.
     """
 
     def __init__(

@@ -45,11 +45,11 @@ Values = tuple[float, ...]
 class Outcome(NamedTuple):
     """How a phase ended.
 
-    - `width`: of its soft compare, in texels; 0 for the hard one.
+    - `width`: width of its soft compare, in texels; 0 for the hard compare.
     - `steps`: number of solver steps.
     - `result`: `"successful"`, `"max_steps reached"`, or the solver's error.
-    - `gradient_norm`: of the soft mean square error with respect to the parameters over their bounds' distance; 0 for a
-        search.
+    - `gradient_norm`: norm of the gradient of the soft mean square error with respect to the parameters over their
+        bounds' distance; 0 for a search.
     - `hard_loss`: the mean square error under the hard compare at the phase's end, of whole differences; `values`: the
         parameters there.
     - `blur`: the standard deviation, in pixels, of the Gaussian under which images were compared; 0 where nothing
@@ -71,7 +71,7 @@ class Outcome(NamedTuple):
 class Start(NamedTuple):
     """One of several starts.
 
-    - `initial`: its values; `end`: those after the phases that all starts run.
+    - `initial`: its values; `end`: the values after the phases that all starts run.
     - `loss`: at `end`, the mean square of the compared differences under the hard compare at full resolution.
     """
 
@@ -83,7 +83,7 @@ class Start(NamedTuple):
 class Trajectory(NamedTuple):
     """The course of one start: free values, values and the judge's losses at the start and after each phase.
 
-    `ends` holds the phases so far and their solutions, none for a search.
+    `ends` are the phases so far and their solutions; a search has no solution.
     """
 
     free: list[Float[Array, " p"]]
@@ -93,9 +93,9 @@ class Trajectory(NamedTuple):
     ends: list[tuple[Phase, Solution | None]]
 
     def chosen(self, noise: float) -> int:
-        """The index of the best values: the last whose loss exceeds the least by no more than this fraction of it.
+        """The index of the best values: the last values whose loss exceeds the least loss by at most this fraction.
 
-        Differences within the noise carry no information; of such values, the later phase's have the smaller gradient.
+        Differences within the noise carry no information; among such values, a later phase has the smaller gradient.
         """
         if not noise:
             return int(np.argmin(self.losses))
@@ -108,9 +108,9 @@ class Run:
     - `given`: what is fitted. All values in a run are counted from its offsets.
     - `judge`: sees the start and the end of every phase, and the best of these is the result.
     - `phases`: whose memory for silhouettes may grow.
-    - `evaluations`: of the error in a search, for each parameter.
+    - `evaluations`: how often a search evaluates the error, for each parameter.
     - `history`: every evaluation so far, in order.
-    - `update`: called with what the fit is at, and the fraction done.
+    - `update`: called with what the fit is doing, and the fraction done.
     """
 
     update: Update | None = None
@@ -141,12 +141,12 @@ class Run:
         return tuple(value + p.offset if p.offset else value for value, p in zip(values, self.given, strict=True))
 
     def say(self, detail: str) -> None:
-        """Says what the fit is at, besides its steps."""
+        """Reports what the fit is doing, apart from its steps."""
         if self.update is not None:
             self.update(detail, None)
 
     def through(self, spread: Float[Array, "s p"]) -> tuple[Trajectory, list[Start]]:
-        """The best path from `spread` (s, p), and the course of each start where there are several."""
+        """The best path from `spread` (s, p), and the course of each start if there are several."""
         shared = [i for i, phase in enumerate(self.phases) if phase.shared]
         rest = [i for i, phase in enumerate(self.phases) if not phase.shared]
         paths = []
@@ -159,8 +159,8 @@ class Run:
         return self._along(rest, paths[best]), tried if len(spread) > 1 else []
 
     def precision(self, path: Trajectory, chosen: int) -> Precision | None:
-        """How well the chosen phase determines what it fitted; none if it was a search, or the start was better than
-        all phases, or under a user's loss."""
+        """How well the chosen phase determines what it fitted; none for a search, for a user's loss, or if the start
+        was better than all phases."""
         phase, solution = path.ends[chosen] if chosen >= 0 else (None, None)
         if phase is None or solution is None or phase.joint.own is not None:
             return None
@@ -260,7 +260,7 @@ class Run:
     def refitted(self, values: Values, kept: Collection[int], *, ratio: float = 1.0, least_gain: float = 0.0) -> Values:
         """The end of the last phase if it starts at `values`; the values at the indices `kept` stay.
 
-        **Arguments:** `ratio` as for `Loss.reweighted`, `least_gain` as for `Stop`.
+        **Arguments:** `ratio`: as for `Loss.reweighted`; `least_gain`: as for `Stop`.
         """
         phase = self.phases[-1]
         phase = phase._replace(joint=phase.joint.with_loss(phase.joint.loss.reweighted(ratio)))
@@ -288,8 +288,8 @@ class Run:
             return np.inf
 
     def sides(self, values: Values) -> tuple[float, float]:
-        """The roots of the judge's losses at `values`: of false shadow, and of false light. They are infinite for a
-        layout that does not suit the scene."""
+        """The roots of the judge's two losses at `values`: false shadow and false light. They are infinite for a layout
+        that does not suit the scene."""
         try:
             dark, light = self.judge.sides(as_float(values))
         except ValueError:
@@ -367,7 +367,7 @@ class Run:
 
 
 def root(loss: float) -> float:
-    """The root of a loss; a user's may be less than 0."""
+    """The root of a loss; a user's loss may be less than 0."""
     return max(loss, 0.0) ** 0.5
 
 

@@ -12,7 +12,7 @@ Box = Float64[HostArray, " a"]
 
 
 class Least(NamedTuple):
-    """The least error of a search, where it is, (a,), and how many were evaluated."""
+    """The least error of a search, its place (a,), and how many errors were evaluated."""
 
     error: float
     values: Box
@@ -22,7 +22,7 @@ class Least(NamedTuple):
 def search(
     error: Callable[[Box], float], start: Box, lower: Box, upper: Box, evaluations: int, part: float = 1.0
 ) -> Least:
-    """The least of about `evaluations` errors within the bounds, and of that at `start`.
+    """The least error of a search: of about `evaluations` places within the bounds, and `start`.
 
     It is found by DIRECT (Jones, Perttunen & Stuckman 1993; Gablonsky & Kelley 2001), which divides the box into ever
     smaller ones about its best points. It needs no derivative, and jumps of the error do no harm.
@@ -30,7 +30,7 @@ def search(
     **Arguments:**
 
     - `start`, `lower`, `upper`: (a,).
-    - `part`: the part of the box that is searched, about `start`; 1 for all of it.
+    - `part`: the part of the box around `start` that is searched; 1 for the whole box.
     """
     from scipy.optimize import direct  # here, since it takes long to load
 

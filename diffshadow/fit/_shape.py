@@ -46,7 +46,7 @@ def fit_shape(
 
     **Arguments:**
 
-    - `phases`: in their order; λ should fall.
+    - `phases`: the phases in their order; λ should fall.
     - `on_step`: called after each step; the fit stops if it returns `True`.
     - `resume`: a state of an earlier fit of the same problem and phases, from which the fit continues. On a CPU the
         result has the same bits as without the interruption.

@@ -28,7 +28,7 @@ _NEARLY_FULL = 0.85
 
 
 class Level(NamedTuple):
-    """A mesh at the size that all of a fit's have; `faces` and `edges` are padded, `own_faces` are not."""
+    """A mesh of the size that all meshes of a fit have; `faces` and `edges` are padded, `own_faces` are not."""
 
     start: Float[HostArray, "v 3"]
     own_faces: Int[HostArray, "f 3"]
@@ -65,7 +65,7 @@ class ShapeProgram:
         ]
 
     def found_sights(self) -> list[Sight]:
-        """What each view's light sees of its screen.
+        """The part of each view's screen that the view's light sees.
 
         **Raises** `ValueError` for a light that reaches no pixel.
         """
@@ -87,7 +87,7 @@ class ShapeProgram:
         lights: Float[HostArray, " l"],
         crossings: int,
     ) -> list[Float[HostArray, "h w"]]:
-        """The visibility that each view has of a mesh."""
+        """The mesh's visibility image in each view."""
         level = self.level(vertices, faces, np.ones(len(vertices), bool))
         return self.images(self.evaluate(level, vertices, lights, 0.0, crossings)[0])
 
@@ -121,9 +121,10 @@ class ShapeProgram:
         blur: float,
         crossings: int,
     ) -> tuple[Evaluation, int]:
-        """The loss, and for how many crossings there is memory now.
+        """The loss, and the number of crossings for which there is memory now.
 
-        Memory is doubled when it is full. Before, while the fit goes on, a thread compiles the program for that.
+        Memory is doubled when it is full. Before that, a thread compiles the program for the larger memory while the
+        fit continues.
         """
         (_, count), _ = self.padding
         padded = np.concatenate([vertices, np.broadcast_to(vertices[:1], (count - len(vertices), 3))])

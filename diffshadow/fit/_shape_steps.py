@@ -19,7 +19,7 @@ class ShapePhase:
     - `strength`: λ, how strongly the steps of neighbouring vertices are smoothed. It is counted in edges: after each
         triangle is split in four, the same distance needs four times the strength.
     - `rate`: length of the first steps, as a fraction of the longest side of the views' shadows at the start's distance
-        from the lights. It falls along half a cosine.
+        from the lights. The rate falls along half a cosine.
     - `steps`: how many.
     - `blur`: standard deviation, in pixels, of the Gaussian under which images are compared.
     - `subdivisions`: how often each triangle is split in four before the phase.
@@ -54,12 +54,15 @@ class ShapeState(NamedTuple):
     """The state of a fit before a step: everything that it needs to continue, on a CPU to the same bits. Arrays never
     change.
 
-    - `phase`, `step`: of the next step, from 0; `crossings`: the number of crossings for which there is memory.
-    - `vertices`, `faces`, `free`: of the mesh at the start of the phase; `u`, `mean`, `square`: of Adam, (n, 3).
-    - `best_vertices`, `best_faces`: of the best end of a phase so far, or of the start.
+    - `phase`, `step`: phase and number of the next step, from 0; `crossings`: the number of crossings for which there
+        is memory.
+    - `vertices`, `faces`, `free`: the mesh at the start of the phase, and its free vertices; `u`, `mean`, `square`:
+        Adam's state, (n, 3).
+    - `best_vertices`, `best_faces`: the mesh at the end of the best phase so far, or at the start.
     - `lights`, `light_mean`, `light_square`: the numbers of all lights' poses, and of Adam; empty if no light moves.
         `best_lights`: the poses at the best end of a phase.
-    - `losses`: under the judge, of the start and of the ends of phases; `history`: (s, 2), phase and loss of each step.
+    - `losses`: the judge's losses at the start and at the ends of phases; `history`: (s, 2), phase and loss of each
+        step.
     """
 
     phase: int
@@ -84,10 +87,10 @@ class ShapeState(NamedTuple):
 class ShapeStep(NamedTuple):
     """A step of a fit of a shape.
 
-    - `phase`, `step`: from 0; `loss`: the mean square error before the step, under the phase's blur.
-    - `images`: (h, w) of each view, its visibility before the step.
+    - `phase`, `step`: numbers from 0; `loss`: the mean square error before the step, under the phase's blur.
+    - `images`: each view's visibility (h, w) before the step.
     - `state`: the state after the step, from which the fit can continue.
-    - `vertices`, `faces`: of the mesh before the step.
+    - `vertices`, `faces`: the mesh before the step.
     """
 
     phase: int
@@ -107,7 +110,7 @@ class FittedShape(NamedTuple):
     - `initial_loss`, `loss`: the judge's mean square error, without a blur, before and after the fit.
     - `losses`: the judge's error at the end of each phase; `chosen`: the phase that is the result, -1 for the start.
     - `history`: phase and loss of each step, under the phase's blur.
-    - `initial_images`, `images`: (h, w) of each view, its visibility at the start and at the end.
+    - `initial_images`, `images`: each view's visibility (h, w) at the start and at the end.
     - `state`: the state at the end of the fit, or where it was stopped.
     """
 

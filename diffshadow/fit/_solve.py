@@ -26,10 +26,11 @@ class Solution(NamedTuple):
     of the change of variables.
 
     - `value`: (a,), the free values of the active parameters.
-    - `gradient`: (a,), of the mean square of the compared differences, or of a user's loss.
+    - `gradient`: (a,), gradient of the mean square of the compared differences, or of a user's loss.
     - `slope`: (a,), norms of the columns of the residuals' Jacobian, 0 where a parameter changes nothing.
-    - `differences`, `slopes`: of each problem, (n, h, w) and (a, n, h, w), before the blur, with the loss's weights.
-    - `roots`: (v,), of these weights.
+    - `differences`, `slopes`: each problem's differences (n, h, w) and their derivatives (a, n, h, w), before the blur,
+        with the loss's weights.
+    - `roots`: (v,), roots of these weights.
 
     The last three are empty under a user's loss.
     """

@@ -9,7 +9,7 @@ from ._parameters import Parameters
 
 
 def starts_within(parameters: Parameters, initial: Float[Array, " p"], count: int, seed: int) -> Float[Array, "s p"]:
-    """`initial` (p,), and a scrambled Sobol sequence over the bounds, `count` values in all."""
+    """`initial` (p,) followed by a scrambled Sobol sequence over the bounds, `count` values in all."""
     if count == 1:
         return as_float(np.asarray(initial)[None])
     from scipy.stats import qmc  # here, since it takes long to load

@@ -33,8 +33,8 @@ _INSET = 1e-3
 class TrainingPhase(NamedTuple):
     """How a phase of a training ended.
 
-    - `width`: of its soft compare, in texels; `steps`: of the solver.
-    - `loss`: the mean square error under that compare; `hard_loss`: under the hard one.
+    - `width`: width of its soft compare, in texels; `steps`: steps of the solver.
+    - `loss`: the mean square error under the soft compare; `hard_loss`: under the hard compare.
     """
 
     width: float
@@ -80,9 +80,10 @@ def train(
         floating-point arrays are trained. Calls with the same function share their compiled programs.
     - `lower`: the least value of the trained numbers, minus infinity for no limit. A number, or a tree of numbers with
         the structure of the result of `where` or of its upper part.
-    - `solver`, `anneal`: defaults if left out. Levenberg-Marquardt and dogleg compute a derivative for each number and
-        pixel, which suits some tens of numbers. The other solvers compute the loss' gradient in reverse mode.
-    - `on_phase`: called after each phase. Left out, `diffshadow.setup` decides whether a line shows them.
+    - `solver`, `anneal`: the solver and how the compare hardens; defaults if left out. Levenberg-Marquardt and dogleg
+        compute a derivative for each number and pixel, which suits some tens of numbers. The other solvers compute the
+        loss' gradient in reverse mode.
+    - `on_phase`: called after each phase. If left out, `diffshadow.setup` decides whether a line shows the steps.
 
     **Raises** `ValueError` if there is no view, no pixel of a view counts, nothing is selected, or a number starts
     below its least value.
@@ -97,7 +98,9 @@ def train(
         raise ValueError("where selects no number of the technique; expected some: select a module that holds them")
     least = _least(lower, _selected(technique, where))
     if (np.asarray(start) < least).any():
-        raise ValueError("a number starts below its lower bound; expected each at or above it: raise it, or lower it")
+        raise ValueError(
+            "a number starts below its lower bound; expected no number below it: raise the number, or lower the bound"
+        )
     groups = _stacked([_plain(problem, technique) for problem in problems])
     if not _count(groups) > 0:
         raise ValueError("no pixel of any view counts; expected cameras and lights to see the same part of the scene")

@@ -19,7 +19,7 @@ _ROUNDS, _MOVES = 20, 3
 def untangled(
     vertices: Float[HostArray, "v 3"], faces: Int[HostArray, "f 3"], free: Bool[HostArray, " v"]
 ) -> Float[HostArray, "v 3"]:
-    """The vertices of a surface, moved where faces intersect, and their neighbours. Those that are not `free` stay.
+    """The vertices of a surface, moved where faces intersect, and their neighbours. Vertices that are not `free` stay.
 
     Faces may still intersect where vertices are not free, and where one part lies within another.
     """

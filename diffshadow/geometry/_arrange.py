@@ -33,7 +33,7 @@ _LAMP_RADIUS = 0.02
 
 
 class Wanted(NamedTuple):
-    """Which parts are to be found."""
+    """Which parts have to be found."""
 
     camera: bool = False
     light: bool = False
@@ -41,8 +41,8 @@ class Wanted(NamedTuple):
 
 
 class Given(NamedTuple):
-    """What a scene has: `light`, the place of its camera (eye, target), the camera's lens, which faces cast (f,), and
-    the direction that is up."""
+    """What is known of a scene: `light`, its camera's place (eye, target) and lens, which faces cast (f,), and the
+    direction that is up."""
 
     light: FrameLight | None
     camera: tuple[Vector, Vector] | None
@@ -52,10 +52,10 @@ class Given(NamedTuple):
 
 
 class Arranged(NamedTuple):
-    """What was found, in world coordinates; parts that were not wanted are none.
+    """What was found, in world coordinates; parts that were not requested are none.
 
-    - `camera`: its place, and of the picture's estimated parts.
-    - `sun`: azimuth and elevation in degrees, where `+y` is up; `direction`: in which it shines.
+    - `camera`: its place, and the estimated parts of the picture.
+    - `sun`: its azimuth and elevation in degrees, where `+y` is up; `direction`: the direction in which it shines.
     - `lamp`: position, and radius.
     - `plane`: the middle of a square ground, and its side.
     - `is_room`, `has_ground`: what the scene was taken for.
@@ -82,7 +82,8 @@ class _Scene(NamedTuple):
 def arrange(corners: Corners, given: Given, wanted: Wanted) -> Arranged:
     """Finds the `wanted` parts of a scene with triangles (f, 3, 3), whatever its size and its place.
 
-    A scene that is closed around a point is seen and lit from inside. Any other is seen from outside, lit by a sun.
+    A scene that is closed around a point is seen and lit from inside. Any other scene is seen from outside and lit by a
+    sun.
     """
     turn, middle = turn_up(given.up), (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1))) / 2
     local, world = (lambda point: turn @ (point - middle)), (lambda point: turn.T @ point + middle)

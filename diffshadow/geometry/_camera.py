@@ -219,7 +219,7 @@ class MatrixCamera(AbstractCamera):
 
 
 def orbit_eye(target: Vec3, distance: Scalar | float, azimuth: float, elevation: float) -> Vec3:
-    """The point at `distance` world units from `target`, `azimuth` and `elevation` in degrees.
+    """The point at `distance` world units from `target`; `azimuth` and `elevation` are in degrees.
 
     Azimuth 0 lies on `+z` of the target, 90 on `+x`; elevation 90 lies straight above (`+y`).
     """

@@ -24,6 +24,7 @@ class CameraPose(eqx.Module):
     height: Scalar | None = None
 
     def axes(self, axes: Mat3) -> Mat3:
-        """The axes of a camera after the rotation, as rows right, up and backward, (3, 3); `axes` are those before."""
+        """The axes of a camera after the rotation, as rows right, up and backward, (3, 3); `axes` are the axes before
+        it."""
         bend = rotation_less_one(jnp.deg2rad(self.turn.array))
         return axes + jnp.matmul(bend.T, axes, precision="highest")

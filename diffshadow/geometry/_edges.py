@@ -27,17 +27,18 @@ NO_NEIGHBOUR = -1
 class Edges(eqx.Module):
     """The edges of a mesh. Vertices at the same place count as one vertex, even if their indices differ.
 
-    - `vertices`: (e, 2), the ends, as indices into the mesh's vertices. If several vertices are at one place, the first
-        of them. The first face traverses the edge from the first end to the second.
+    - `vertices`: (e, 2), the ends, as indices into the mesh's vertices. If several vertices have the same position, the
+        first of them. The first face traverses the edge from the first end to the second.
     - `faces`: (e, 2), the faces that meet there; the second is `NO_NEIGHBOUR` if there is only one.
     - `directions`: (e, 2), +1 if the face traverses the edge from its first end to its second, -1 if it traverses it
-        backwards, 0 if there is no face. The first is always +1; the second is -1 if both faces have the same winding.
+        backwards, 0 if there is no face. The first entry is always +1; the second is -1 if both faces have the same
+        winding.
     - `component`: (f,), the connected part of the mesh that each face belongs to.
     - `solid`: (c,), whether a component bounds a volume: it is closed, and its faces are anticlockwise seen from
         outside, that is, its signed volume is positive.
     - `is_closed`: whether the whole mesh is closed: every edge is traversed equally often in both directions.
 
-    An edge between three or more faces has one row per face, without a second face. So it always counts as a
+    An edge between three or more faces has one row per face, without a second face. So such an edge always counts as a
     silhouette. Faces with two corners at one place have no edges; faces whose three corners lie on a line have edges.
     """
 

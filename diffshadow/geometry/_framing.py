@@ -60,7 +60,7 @@ class FrameLight(NamedTuple):
     position: Vector | None = None
 
     def azimuth(self, middle: Vector) -> float:
-        """Where it stands as seen from `middle`: 0 on +z, 90 on +x, in degrees."""
+        """Its azimuth as seen from `middle`, in degrees: 0 on +z, 90 on +x."""
         x, _, z = -self.direction if self.direction is not None else self.position - middle  # type: ignore[operator]
         return math.degrees(math.atan2(x, z))
 
@@ -73,8 +73,8 @@ class Lens(NamedTuple):
 
 
 class Framed(NamedTuple):
-    """A camera's place; `height` of the view is for a parallel one. `shadow` and `casters`: the parts of the picture
-    that they take, as estimated."""
+    """A camera's place; `height` is the height of a parallel camera's view. `shadow` and `casters`: the parts of the
+    picture that they take, as estimated."""
 
     eye: Vector
     target: Vector
@@ -84,7 +84,7 @@ class Framed(NamedTuple):
 
 
 def samples_of(corners: Corners, seed: int = 0) -> Points:
-    """Points on the triangles, evenly by area, and all the triangles' corners where these are few."""
+    """Points on the triangles, evenly distributed by area, and all corners of the triangles if there are few."""
     rng = np.random.default_rng(seed)
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=-1)
     total = areas.sum()
@@ -98,8 +98,8 @@ def samples_of(corners: Corners, seed: int = 0) -> Points:
 
 
 def shadow_of(points: Points, light: FrameLight, height: float | Float[HostArray, " _"]) -> Points:
-    """Where the shadows of `points` fall on a level ground at `height`, one for all or of each. Those that fall on none
-    are left out."""
+    """Where the shadows of `points` fall on a level ground at `height` (one for all points, or one for each). Shadows
+    that do not fall on the ground are left out."""
     if light.direction is not None:
         x, y, z = light.direction / np.linalg.norm(light.direction)
         if y >= 0:
@@ -126,7 +126,7 @@ def sun_for(samples: Points, ground: float | Float[HostArray, " _"], *, is_level
     """The azimuth and elevation, in degrees, of a sun whose shadow of `samples` on the ground is large.
 
     Broad shadows that fall beside the casters count. The elevation is lower where the casters are flat. On a ground
-    that is not level, whose slopes shadow themselves, it is higher.
+    that is not level, the sun is higher, since slopes shadow themselves.
     """
     tall = max(float((samples[:, 1] - ground).max()), np.finfo(float).tiny)
     best, most = (_AZIMUTHS[0], _SUN[1]), 0.0
@@ -148,7 +148,8 @@ def sun_for(samples: Points, ground: float | Float[HostArray, " _"], *, is_level
 def sun_for_view(
     samples: Points, ground: float, eye: Vector, target: Vector, lens: Lens, elevation: float
 ) -> tuple[float, float]:
-    """As `sun_for`, of this elevation, with the azimuth whose shadow shows most to a camera that is given."""
+    """Like `sun_for`, with a given elevation, and with the azimuth that makes the shadow most visible to a given
+    camera."""
     axes, middle = _axes_of(eye - target), (samples.min(axis=0) + samples.max(axis=0)) / 2
     away = eye - middle
     azimuth, half = math.degrees(math.atan2(away[0], away[2])), float(np.linalg.norm(eye - target)) * lens.tangents[1]
@@ -170,12 +171,12 @@ def sun(azimuth: float | int, elevation: float | int) -> FrameLight:
 def frame_outside(
     points: Points, samples: Points, light: FrameLight, lens: Lens, height: float, ground: Ground | None = None
 ) -> Framed:
-    """A camera that sees all casters and their shadows on the ground, from the side from which most can be seen.
+    """A camera that sees all casters and their shadows on the ground, from the side that shows most.
 
     **Arguments:**
 
     - `points`: all corners of the casters; `samples`: points on their surfaces.
-    - `height`: of the ground; `ground`: where it is, if the scene has one: shadows beyond it do not show.
+    - `height`: height of the ground; `ground`: where it is, if the scene has one: shadows beyond it do not show.
     """
     on_ground = lambda points: (
         shadow_of(points, light, height)
@@ -200,7 +201,8 @@ def frame_outside(
 
 
 def frame_inside(corners: Corners, inside: Inside, lens: Lens, lamp: Vector | None) -> Framed:
-    """A camera in the corner of a room from which most of what stands in it is seen, with its shadows on the floor.
+    """A camera in a corner of a room: the corner from which it sees most of the room's objects and their shadows on the
+    floor.
 
     The corner that is farthest from the middle is taken if no other is better. `lamp`: throws the shadows.
     """

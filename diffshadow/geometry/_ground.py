@@ -41,8 +41,8 @@ _PAIRS = 1 << 21
 class Ground(NamedTuple):
     """A ground: its height, its least and greatest x and z, and which faces belong to it (f,).
 
-    `relief`: of a height field, its heights in cells of equal size between `low` and `high`, as [x, z]; its `height` is
-    their mean.
+    `relief`: for a height field, the heights in cells of equal size between `low` and `high`, as [x, z]; its `height`
+    is their mean.
     """
 
     height: float
@@ -68,9 +68,9 @@ class Inside(NamedTuple):
 
 
 def ground_of(corners: Corners) -> Ground | None:
-    """The level ground that everything else of a scene stands on; none if the scene has none.
+    """The level ground that everything else in a scene rests on; none if there is no such ground.
 
-    The bottom of an object is no ground: what stands on a ground covers less than the ground does.
+    The bottom of an object is not a ground: objects cover less area than the ground that they rest on.
     """
     size = _size(corners)
     bottom, level = _level_at_bottom(corners)
@@ -92,7 +92,8 @@ def ground_of(corners: Corners) -> Ground | None:
 
 
 def height_field_of(corners: Corners) -> Ground | None:
-    """The surface that everything else of a scene stands on, such as a terrain with trees; none if there is none.
+    """The surface that everything else in a scene rests on, such as a terrain with trees; none if there is no such
+    surface.
 
     It is one connected surface that covers the scene's outline once. A closed object covers its own outline twice.
     """
@@ -149,7 +150,7 @@ def has_floor(corners: Corners) -> bool:
 def up_of(corners: Corners, is_y_up_format: bool) -> Literal["y", "z"]:
     """Which axis is up: y unless the scene lies flat across z.
 
-    A ground across z, and none across y, is always taken as a sign. A flat foot of an object is one only in formats
+    If there is a ground across z and none across y, z is up. A flat foot of an object counts as a sign only in formats
     that do not say which axis is up.
     """
     turned = y_up(corners)
@@ -161,12 +162,12 @@ def up_of(corners: Corners, is_y_up_format: bool) -> Literal["y", "z"]:
 
 
 def stands_on_z(corners: Corners) -> bool:
-    """Whether an object has a flat foot across z, and a much smaller one or none across y."""
+    """Whether an object has a flat foot across z, and across y a much smaller foot or none."""
     return _foot(y_up(corners)) > max(_FOOT, _MORE * _foot(corners))
 
 
 def y_up(vectors: Float[HostArray, "*n 3"]) -> Float[HostArray, "*n 3"]:
-    """Points or directions of a world with `+z` up in one with `+y` up, by a quarter turn about x."""
+    """Converts points or directions from a world with `+z` up to a world with `+y` up, by a quarter turn about x."""
     return np.stack([vectors[..., 0], vectors[..., 2], -vectors[..., 1]], axis=-1)
 
 

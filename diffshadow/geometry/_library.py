@@ -80,11 +80,11 @@ def sphere(radius: Number = 0.5, subdivisions: int = 4) -> Mesh:
 
 
 def low_poly_sphere(radius: Number = 0.5, subdivisions: int = 1, smooth: bool = True) -> Mesh:
-    """A sphere of few triangles (80), whose shading normals disagree with its facets near the terminator.
+    """A sphere with only 80 triangles, whose shading normals disagree with its facets near the terminator.
 
     **Arguments:**
 
-    - `radius`: world units, of the sphere through its vertices.
+    - `radius`: radius of the sphere through its vertices, world units.
     - `subdivisions`: it has 20 · 4^`subdivisions` triangles.
     - `smooth`: whether it has smooth shading normals.
     """
@@ -115,10 +115,10 @@ def torus_knot(
     **Arguments:**
 
     - `p`, `q`: how often the curve winds around the axis of its torus, and through its hole. They must be coprime.
-    - `radius`: of the torus' ring, world units; the torus is half as thick, so the knot is 3 · `radius` + 2 · `tube`
-        wide.
+    - `radius`: radius of the torus' ring, world units; the torus is half as thick, so the knot is 3 · `radius` + 2 ·
+        `tube` wide.
     - `tube`: radius of the knot's tube, world units; strands intersect if it is too thick.
-    - `segments`, `sides`: of the tube, along it and around it.
+    - `segments`, `sides`: how many faces the tube has along it and around it.
     """
     _check_positive("torus_knot", radius=radius, tube=tube)
     _check_tube("torus_knot", segments, sides)
@@ -147,9 +147,9 @@ def fence(
 
     **Arguments:**
 
-    - `width`, `height`: of the whole fence, world units.
+    - `width`, `height`: size of the whole fence, world units.
     - `slats`: how many.
-    - `slat_width`, `thickness`: of each slat along x and z, world units.
+    - `slat_width`, `thickness`: size of each slat along x and z, world units.
     """
     _check_positive("fence", width=width, height=height, slat_width=slat_width, thickness=thickness)
     _check_count("fence", 1, _MAX_SLATS, slats=slats)
@@ -181,9 +181,10 @@ def chair(height: Number = 1.0, spindles: int = 5, sides: int = 24) -> Mesh:
 
     **Arguments:**
 
-    - `height`: of the whole chair, world units. The chair is half as wide.
+    - `height`: height of the whole chair, world units. The chair is half as wide.
     - `spindles`: number of spindles in the back. They are flat, and wider towards the top.
-    - `sides`: around each leg and spindle; the seat has four times as many. The chair has 14,256 triangles by default.
+    - `sides`: number of sides around each leg and spindle; the seat has four times as many. The chair has 14,256
+        triangles by default.
     """
     _check_positive("chair", height=height)
     _check_count("chair", 0, _MAX_SPINDLES, spindles=spindles)
@@ -243,8 +244,8 @@ def blob(radius: Number = 0.5, subdivisions: int = 4, amplitude: Number = 0.25, 
 
     - `radius`: mean radius, world units.
     - `subdivisions`: it has 20 · 4^`subdivisions` triangles (5,120).
-    - `amplitude`: of the bumps as a fraction of the radius, in [0, 1).
-    - `seed`: of the random shape, which does not depend on the number of subdivisions.
+    - `amplitude`: amplitude of the bumps as a fraction of the radius, in [0, 1).
+    - `seed`: seed of the random shape, which does not depend on the number of subdivisions.
     """
     _check_positive("blob", radius=radius)
     _check_count("blob", 0, _MAX_SEED, seed=seed)

@@ -45,7 +45,7 @@ def matrices_of(name: str, world_to_eye: Any, eye_to_clip: Any, is_perspective: 
 def as_opengl(
     world_to_eye: Any, eye_to_clip: Any, left_handed: bool, depth: tuple[float, float]
 ) -> tuple[HostArray, HostArray]:
-    """An engine's matrices by OpenGL's conventions; arguments are as for `MatrixLight.from_engine`.
+    """An engine's matrices converted to OpenGL's conventions; arguments are as for `MatrixLight.from_engine`.
 
     **Raises** `ValueError` for matrices that are not (4, 4), or equal depths.
     """

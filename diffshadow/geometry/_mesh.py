@@ -50,7 +50,7 @@ class Mesh(eqx.Module):
         side. Defaults to the face normals.
     - `albedo`: (f, 3), diffuse colour in [0, 1]. Defaults to light grey; to white with `corner_colours` or `textures`.
     - `corner_colours`: (f, 3, 3), a colour in [0, 1] for each corner of each face; or `None`.
-    - `textures`: of the faces; or `None`.
+    - `textures`: textures of the faces; or `None`.
 
     The diffuse colour of a point is the product of `albedo`, the interpolated colour of the corners, and the texture's
     colour.
@@ -149,7 +149,7 @@ class Mesh(eqx.Module):
         - `crease_angle`: degrees; edges bent by more are shaded sharp (`crease_normals`). `None` for the object's own
             `vertex_normals`.
 
-        **Warns** of geometries of a scene that have no faces, such as paths, which are left out.
+        **Warns** about geometries of a scene without faces, such as paths, which are left out.
 
         **Raises** `ValueError` if there are no triangles, an array has a wrong shape, an index is out of range, a
         vertex is not finite, or normals are asked for and missing.
@@ -193,8 +193,8 @@ class Mesh(eqx.Module):
         return as_html(f"Mesh: {counted(len(faces), 'triangle')}, {len(seen):,} vertices, {size} world units", image)
 
     def padded(self, to: tuple[int, int] | None = None) -> "Mesh":
-        """The mesh with added faces that are points and so invisible. Its arrays then have one of a few sizes, so that
-        meshes of similar size share compiled programs. A traced mesh stays as it is.
+        """The mesh with extra faces. They are points, so that they are invisible. Its arrays then have one of a few
+        sizes, so that meshes of similar size share compiled programs. A traced mesh stays as it is.
 
         **Arguments:** `to`: the numbers of faces and vertices after padding; by default the next of a few sizes.
         """
@@ -231,11 +231,11 @@ class Mesh(eqx.Module):
 
 
 MeshLike = Mesh | Triangles | TriangleScene
-"""A mesh, or what `Mesh.from_trimesh` makes one of."""
+"""A mesh, or what `Mesh.from_trimesh` converts to one."""
 
 
 def meshes_of(given: Triangles | TriangleScene, crease_angle: float | int | None = 30.0) -> list[Mesh]:
-    """As `Mesh.from_trimesh`, with a mesh for each node of a scene."""
+    """Like `Mesh.from_trimesh`, but with a mesh for each node of a scene."""
     return [
         Mesh(part.vertices, part.faces, part.normals, part.albedo, part.corner_colours, part.textures)
         for part in parts_of(given, crease_angle)

@@ -50,8 +50,8 @@ def origin_of(points: Any) -> Origin:
 
 
 def step_of(low: HostArray, high: HostArray) -> float:
-    """The step between coordinates in single precision at the farther of the corners `low` and `high` (3,) of a box,
-    world units; 0 if it is small beside the box, or the box is a point."""
+    """The step between coordinates in single precision, in world units, at the farther corner of the box from `low` to
+    `high` (3,). It is 0 if the step is small compared with the box, or the box is a point."""
     size = float((high - low).max())
     step = float(np.spacing(np.float32(max(np.abs(low).max(), np.abs(high).max()))))
     return step if step > _COARSE * size > 0 else 0.0

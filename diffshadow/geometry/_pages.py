@@ -15,7 +15,7 @@ Broadcast = Int[Array, "*#n"]
 
 
 class Tile(NamedTuple):
-    """What a layer shows of a virtual map; or of each of several layers, or points, one.
+    """The part of a virtual map that a layer shows; or one part for each of several layers or points.
 
     - `origin`: (2,), x and y of its first texel in the virtual map.
     - `size`: side of the virtual map, in texels.
@@ -25,7 +25,7 @@ class Tile(NamedTuple):
     size: Int[Array, "*n"]
 
     def facing(self, layer: Int[Array, "*n"]) -> "Tile":
-        """The tile of `layer` for each point, of the tiles of several layers."""
+        """The tile of the `layer` of each point, taken from the tiles of several layers."""
         return Tile(take(self.origin, layer), take(self.size, layer))
 
 
@@ -33,14 +33,15 @@ class Pages(eqx.Module):
     """The resident pages of a virtual map, each in a layer of its own.
 
     A virtual map has levels. Level 0, the finest, has `2^(levels - 1)` pages a side; each further level has half as
-    many, of twice the size. The last is the root, whose only page is the whole map. A layer holds its page and a
+    many, of twice the size. The last level is the root, whose only page is the whole map. A layer holds its page and a
     gutter around it, as texels of the level's whole map; at the border of that map, the layer is moved inwards. The
     root's layer has no gutter, and fills the layer.
 
     - `page`: side of a page, in texels; a power of two.
-    - `gutter`: texels around it, on each side, at most half of `page`.
+    - `gutter`: texels around the page, on each side, at most half of `page`.
     - `levels`: the number of levels, 2 or more.
-    - `level`, `row`, `column`: (l,), the page in each layer, by level; only the first `count` layers have one.
+    - `level`, `row`, `column`: (l,), the page in each layer, sorted by level; only the first `count` layers have a
+        page.
     - `count`: the number of resident pages.
     """
 
@@ -122,8 +123,8 @@ def side_of(page: int, gutter: int) -> int:
 
 @eqx.filter_jit
 def finest_of(table: Int[Array, " n"], levels: int) -> Int[Array, "c c"]:
-    """For each page of level 0, the entry of the finest page that contains it and whose entry in `table` is not
-    negative; -1 if there is none."""
+    """For each page of level 0, the entry in `table` of the finest page that contains it. Pages with a negative entry
+    do not count; -1 if there is no other."""
     cells = jnp.arange(1 << (levels - 1), dtype=jnp.int32)
     row, column = jnp.meshgrid(cells, cells, indexing="ij")
 

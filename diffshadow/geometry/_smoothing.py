@@ -17,14 +17,15 @@ _AS_GOOD = 1e-6
 
 
 class Smoothing(eqx.Module):
-    """Over which faces the shading normals of a mesh are smooth, at the corners whose normals some vertices change.
+    """The faces over which the shading normals of a mesh are smooth, at the corners whose normals change with some
+    vertices.
 
     A corner's normal is the mean over the faces around its vertex whose normals are within some angle of its own
     face's, as `crease_normals` makes it. The angle is the one that explains the normal best: 0 for flat shading, 180
     degrees for a smooth vertex.
 
     - `corner`: (n,), corners, 3 · face + place in the face.
-    - `around`: (n, d), the corners over which the mean is; `counts`: (n, d), which of these there are.
+    - `around`: (n, d), the corners that the mean is taken over; `counts`: (n, d), which of these entries are corners.
     """
 
     corner: Int[Array, " n"]
@@ -57,8 +58,8 @@ class Smoothing(eqx.Module):
     def corner_normals(self, mesh: Mesh, vertices: Vertices) -> Float[Array, "f 3 3"]:
         """The shading normals (f, 3, 3) of `mesh` once it has these vertices, differentiable.
 
-        The mesh's own normals change by as much as the means do. So they keep what a file gave, such as the exact
-        normals of a curved surface, and do not jump as a vertex begins to move.
+        The mesh's own normals change by as much as the means do. So normals from a file are kept, such as the exact
+        normals of a curved surface, and they do not jump when a vertex begins to move.
         """
         given = mesh.corner_normals.reshape(-1, 3)
         own = take(given, self.corner)

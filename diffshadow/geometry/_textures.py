@@ -48,7 +48,7 @@ class Sampler(NamedTuple):
 
     @classmethod
     def of(cls, wrap: Wraps, filter: TexelFilter) -> "Sampler":
-        """With one `wrap` for both axes, or one for each. **Raises** `ValueError` for another word."""
+        """A sampler with one `wrap` for both axes, or one for each. **Raises** `ValueError` for another word."""
         words = (wrap, wrap) if isinstance(wrap, str) else tuple(wrap)
         if len(words) != 2 or not all(word in _WRAPS for word in words):
             raise ValueError(f"the texture's wrap is {wrap!r}; expected {' or '.join(_WRAPS)}, or a pair of these")
@@ -70,15 +70,15 @@ class Sampler(NamedTuple):
 
 
 def sampler_codes(samplers: list[Sampler]) -> Int[HostArray, "t 3"] | None:
-    """`Textures.samplers` of textures that are read so; none if all of them have the default."""
+    """`Textures.samplers` for textures with these samplers; none if all samplers are the default."""
     return None if all(one == Sampler() for one in samplers) else np.array([one.codes for one in samplers], np.int32)
 
 
 class Textures(eqx.Module):
     """The textures of the faces of a mesh.
 
-    - `uv`: (f, 3, 2), texture coordinates of each corner of each face: (0, 0) is the image's lower left corner, and
-        (1, 1) its upper right one.
+    - `uv`: (f, 3, 2), texture coordinates of each corner of each face: (0, 0) is the image's lower left corner, and (1,
+        1) the upper right corner.
     - `index`: (f,), which texture each face has; `NO_TEXTURE` for none.
     - `texels`: (n, 4), linear red, green, blue and alpha in [0, 1], of all textures; row 0 of each image is its bottom
         row.
@@ -89,11 +89,11 @@ class Textures(eqx.Module):
     - `corner_alpha`: (f, 3), alpha in [0, 1] of each corner of each face. The interpolated alpha of the corners is
         multiplied by the texture's alpha, and the product is compared with `cutoff`. `None` if all are 1.
 
-    Colours and `uv` are differentiable. The result of an alpha test is yes or no, so it has no derivative by texels,
-    `uv` or `cutoff`. Its outlines do not move in a fit.
+    Colours and `uv` are differentiable. The result of an alpha test is yes or no, so it has no derivative with respect
+    to texels, `uv` or `cutoff`. Its outlines do not move in a fit.
 
-    **Raises** `ValueError` if an array has another shape, a texel is out of its range, or an index or a place in the
-    table is.
+    **Raises** `ValueError` if an array has another shape, or if a texel, an index or a place in the table is out of its
+    range.
 
     !!! Example
 
@@ -262,7 +262,7 @@ class Textures(eqx.Module):
 
     @property
     def is_padded(self) -> bool:
-        """Whether the texels and the table have one of few sizes."""
+        """Whether the texels and the table are padded to one of a few sizes."""
         return (self.texels.shape[0], self.table.shape[0]) == self._padded_size
 
     def padded(self, faces: int) -> "Textures":
@@ -305,7 +305,7 @@ def read_texels(
     index: Int[Array, "*m"],
     uv: Float[Array, "*m 2"],
 ) -> Float[Array, "*m c"]:
-    """The textures `index` at `uv`; where there is none, what the first has there."""
+    """The colours of the textures `index` at `uv`; where there is no texture, the first texture's colour."""
     of = jnp.maximum(index, 0)
     first, height, width = (take(table[:, k], of) for k in range(3))
     codes = (None, None, None) if samplers is None else [take(samplers[:, k], of) for k in range(3)]
@@ -343,7 +343,7 @@ def _neighbours(coordinate: Array, size: Array, wrap: Array | None, filter: Arra
 
 
 def merged(textures: list["Textures | None"], counts: list[int]) -> Textures | None:
-    """The textures of meshes, merged, given how many faces each mesh has; none if no mesh has any."""
+    """The merged textures of meshes, given how many faces each mesh has; none if no mesh has textures."""
     given = [each for each in textures if each is not None]
     if not given:
         return None

@@ -53,7 +53,7 @@ class Part(NamedTuple):
     - `normals`: (f, 3, 3), a unit normal for each corner.
     - `albedo`: (f, 3), in [0, 1]; none if the object has no colours.
     - `corner_colours`: (f, 3, 3), in [0, 1], of its vertices; none if these have no colours.
-    - `textures`: of its base colour; or none.
+    - `textures`: textures of its base colour; or none.
     """
 
     vertices: Float[HostArray, "v 3"]

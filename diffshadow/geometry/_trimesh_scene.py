@@ -12,7 +12,7 @@ from .lights import AbstractLight, DirectionalLight, PointLight, SpotLight
 
 
 def camera_of(scene: Any) -> PinholeCamera | None:
-    """The camera of `scene`; none if it has none of its own (trimesh makes one for whoever asks)."""
+    """The camera of `scene`; none if the scene has no camera of its own (trimesh makes one on demand)."""
     if not getattr(scene, "has_camera", False):
         return None
     camera, pose = scene.camera, np.asarray(scene.camera_transform, np.float64)
@@ -29,9 +29,9 @@ def camera_of(scene: Any) -> PinholeCamera | None:
 
 
 def lights_of(scene: Any, points: Float[Array, "n 3"]) -> tuple[AbstractLight, ...]:
-    """The lights of `scene`, whose shadow maps are fitted to `points`; none if it has none of its own.
+    """The lights of `scene`, with shadow maps fitted to `points`; none if the scene has no lights of its own.
 
-    **Raises** `ValueError` for a light of another kind than directional, point and spot.
+    **Raises** `ValueError` for a light that is not a directional, point or spot light.
     """
     # `scene.lights` would make some.
     lights = getattr(scene, "_lights", None) or ()

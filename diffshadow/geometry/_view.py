@@ -30,8 +30,9 @@ class View(eqx.Module):
         the depths of the parallel view. None for no warp.
     - `tile`: for a parallel view: the part of a virtual map that each layer shows. The projection covers the whole
         virtual map. `None` if a map shows the whole window. A virtual map that is smaller than its layer ends within
-        it.
-    - `pages`: the pages of a virtual map that the layers show; `tile` is theirs. `None` for a map without pages.
+        the layer.
+    - `pages`: the pages of a virtual map that the layers show; `tile` then belongs to the pages. `None` for a map
+        without pages.
     """
 
     world_to_eye: Float[Array, "*l 4 4"]
@@ -56,8 +57,8 @@ class View(eqx.Module):
         return view if self.tile is None else dataclasses.replace(view, tile=self.tile.facing(layer), pages=None)
 
     def whole(self, resolution: tuple[int, int]) -> tuple[int | Int[Array, "*n"], int | Int[Array, "*n"]]:
-        """(height, width) in texels of the map that the projection shows, given a layer's `resolution`: of the virtual
-        map, if the layer is a part of one."""
+        """(height, width) in texels of the map that the projection shows, given a layer's `resolution`. If the layer is
+        a part of a virtual map, the size of the virtual map."""
         return resolution if self.tile is None else (self.tile.size, self.tile.size)
 
     def shown(self, resolution: tuple[int, int]) -> tuple[int | Int[Array, "*n"], int | Int[Array, "*n"]]:

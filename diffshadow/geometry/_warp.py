@@ -15,7 +15,7 @@ class Warp(eqx.Module):
     the height `s = (1 + w) τ / (1 + w τ)`, and its distance to the line x = `center` is divided by `1 + w τ`. So the
     lower border keeps its width, and `w = 0` changes nothing.
 
-    - `strength`: w, 0 or more: the height of the window over the distance from its lower border to the centre of
+    - `strength`: w, 0 or more: the window's height divided by the distance from its lower border to the centre of
         projection, which lies below the window.
     - `center`: the clip coordinate x of the centre of projection.
     """
@@ -44,7 +44,7 @@ class Warp(eqx.Module):
         return extent * jnp.stack([divisor, divisor * divisor / (1 + self.strength)], axis=-1)
 
     def lean(self, x: Float[Array, "*n"]) -> Float[Array, "*n"]:
-        """By how much clip x without the warp changes per unit of clip y, along the column at warped clip `x`.
+        """The change of clip x without the warp per unit of clip y, along the column at warped clip `x`.
 
         Columns are lines through the centre of projection, `x - center = (x' - center) (1 + w τ)`.
         """

@@ -23,13 +23,13 @@ _FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 def is_full_disk(error: BaseException | None) -> bool:
-    """Whether `error`, or what led to it, is that no space is left."""
+    """Whether `error`, or its cause, is that no space is left."""
     return any(isinstance(each, FullDiskError) or _is_full(each) for each in _chain(error))
 
 
 @contextlib.contextmanager
 def naming_full_disks(path: str | os.PathLike[str], more: str = "") -> Iterator[None]:
-    """In the block, `path` is written; `more` follows the message.
+    """`path` is written in the block; `more` follows the message.
 
     **Raises** `FullDiskError` with this path if no space is left for it.
     """

@@ -25,7 +25,7 @@ _ROUNDING = 2**-10
 class _Chosen(NamedTuple):
     """What is read of a file: the number of a part, and the names of its channels.
 
-    - `alpha`: of the alpha channel of their layer.
+    - `alpha`: the alpha channel of their layer.
     """
 
     part: int
@@ -34,7 +34,8 @@ class _Chosen(NamedTuple):
 
 
 def read_exr(file: Path, merge: Merge = mean_colour) -> Pixels:
-    """Reads the channel `Y`, what `merge` makes of `R`, `G` and `B`, or the only channel, within the display window.
+    """Reads the channel `Y`, or the result of `merge` for `R`, `G` and `B`, or the only channel, within the display
+    window.
 
     **Raises** `FileError` if none of these is there for every pixel of the window, and other errors if the file is
     damaged.

@@ -138,7 +138,7 @@ def parts_of(
 ) -> Iterator[Part]:
     """The triangles of a file's scene, with node transforms, morph weights and skins applied.
 
-    What is hidden, no triangle, or not supported is added to `left_out`.
+    Parts that are hidden, not triangles, or not supported are added to `left_out`.
 
     **Arguments:**
 

@@ -135,7 +135,7 @@ class Buffers:
         return item(self._document.accessors, index, "accessor").count
 
     def form(self, index: int) -> Form | None:
-        """The type of the accessor; none for one that cannot be read."""
+        """The type of the accessor; none if the accessor cannot be read."""
         found = item(self._document.accessors, index, "accessor").type
         return next((form for form in _WIDTHS if form == found), None)
 

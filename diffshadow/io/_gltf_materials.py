@@ -44,7 +44,7 @@ class BaseColour(NamedTuple):
 
     - `factor`: (3,), linear; none without a material.
     - `texture`: with its alpha test, or none; `uv`: (v, 2), texture coordinates of its vertices, or none.
-    - `colours`: (v, 3), linear colours of its vertices, and `alpha`: (v,), of these; or none.
+    - `colours`: (v, 3), linear colours of its vertices, and `alpha`: (v,), their alpha; or none.
     - `is_cut_out`: whether the alpha test leaves nothing of it.
     """
 
@@ -56,19 +56,19 @@ class BaseColour(NamedTuple):
     is_cut_out: bool = False
 
     def of_vertices(self, index: Int[HostArray, " n"]) -> "BaseColour":
-        """For vertices that are these of the primitive's, (n,)."""
+        """The same for a selection (n,) of the primitive's vertices."""
         rows = lambda values: None if values is None else values[index]
         return self._replace(uv=rows(self.uv), colours=rows(self.colours), alpha=rows(self.alpha))
 
     def repeated(self, count: int) -> "BaseColour":
-        """For the vertices of so many instances."""
+        """The same for the vertices of several instances."""
         some = (values for values in (self.uv, self.colours, self.alpha) if values is not None)
         index = np.tile(np.arange(len(next(some, ()))), count)
         return self.of_vertices(index)
 
 
 class Materials:
-    """Reads a file's materials. An image is read when it is first needed, and once."""
+    """Reads a file's materials. An image is read once, when it is first needed."""
 
     def __init__(self, document: Document, buffers: Buffers, left_out: Counter[str]):
         self._document, self._buffers, self._left_out = document, buffers, left_out

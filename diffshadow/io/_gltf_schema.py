@@ -138,7 +138,7 @@ WrapCode = Literal[10497, 33071, 33648]
 
 
 class Sampler(_Part):
-    """Numbers of OpenGL: how a texture is read between texels and beyond its image."""
+    """OpenGL's numbers for how a texture is read between texels and beyond its image."""
 
     mag_filter: Literal[9728, 9729] = 9729
     wrap_s: WrapCode = 10497
@@ -277,5 +277,5 @@ def unknown(extensions: Iterable[str]) -> list[str]:
 
 
 def not_obeyed(document: Document) -> list[str]:
-    """The extensions that the file uses and could do without, and that may change what is seen of it."""
+    """The extensions that the file uses but does not require, and that may change how it looks."""
     return [name for name in unknown(dict.fromkeys(document.extensions_used)) if name not in _COMPRESSIONS]

@@ -24,7 +24,7 @@ class Posed(NamedTuple):
 
 
 class Skins:
-    """Poses meshes by the joints' own places in the file.
+    """Poses meshes by the joints' positions in the file.
 
     **Arguments:** `to_world`: the matrix of each node of the scene to world space, by its number.
     """
@@ -41,7 +41,7 @@ class Skins:
         normals: Float[HostArray, "v 3"] | None,
     ) -> Posed:
         """The vertices and triangles of a primitive with the skin of this number: each vertex is moved by the mean of
-        its joints' matrices, by its weights. A node that has a skin has no place of its own.
+        its joints' matrices, by its weights. A node that has a skin has no position of its own.
 
         **Raises** `MeshError` if the skin cannot be read, and `NoDataError` if an extension provides it.
         """

@@ -42,7 +42,7 @@ _PLAIN = Picture(np.full((1, 1, 4), 255, np.uint8))
 class Texture(NamedTuple):
     """The texture of base colour of a material.
 
-    - `picture`: none of a material that the alpha of vertices alone cuts out.
+    - `picture`: its picture; none for a material that only the alpha of vertices cuts out.
     - `cutoff`: alpha below which it cuts out faces; none without an alpha test.
     - `sampler`: how the picture is read.
     """
@@ -58,7 +58,7 @@ class Texture(NamedTuple):
 
 
 class GivenTexture(NamedTuple):
-    """What a user gives in place of the textures of a file; none of what is as the file says."""
+    """What a user gives in place of a file's textures; none for what stays as in the file."""
 
     picture: Picture | None = None
     cutoff: float | None = None
@@ -66,7 +66,7 @@ class GivenTexture(NamedTuple):
     filter: TexelFilter | None = None
 
     def instead_of(self, texture: Texture) -> Texture:
-        """A texture of the file with what is given."""
+        """A texture of the file with the user's changes."""
         of_file = texture.sampler
         sampler = Sampler.of(self.wrap or of_file.wrap, self.filter or of_file.filter)
         return Texture(texture.picture, texture.cutoff if self.cutoff is None else self.cutoff, sampler)
@@ -76,8 +76,10 @@ class Looks(NamedTuple):
     """How the polygons of a file look.
 
     - `colours`: (v, 3), linear colours of the vertices; none if the file has none.
-    - `alpha`: (v,), of the vertices, which an alpha test multiplies by the textures'; none likewise.
-    - `uv`: (v, 2), texture coordinates of the vertices, (0, 0) at an image's lower left corner; none likewise.
+    - `alpha`: (v,), the vertices' alpha, which an alpha test multiplies by the textures' alpha; none if the file has
+        none.
+    - `uv`: (v, 2), texture coordinates of the vertices, (0, 0) at an image's lower left corner; none if the file has
+        none.
     - `factor`: (f, 3), the diffuse colour of each polygon.
     - `texture`: (f,), the number of each polygon's texture in `textures`, -1 for none.
     """

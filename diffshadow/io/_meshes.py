@@ -187,7 +187,7 @@ def _looks(
 
 
 def files_of_mesh(path: str | os.PathLike[str]) -> list[Path]:
-    """The absolute paths of a mesh file and of the files beside it that it refers to, as far as there are such."""
+    """The absolute paths of a mesh file and of the files beside it that it refers to, if they exist."""
     file = Path(os.path.abspath(path))
     beside = {**dict.fromkeys(GLTF_SUFFIXES, files_beside), ".obj": files_beside_obj}.get(file.suffix.lower())
     if beside is None:
@@ -216,7 +216,8 @@ def _reader(file: Path) -> Callable[[bytes, Path], Polygons]:
 
 
 def coarse_steps(vertices: Float[HostArray, "v 3"]) -> str:
-    """What is wrong with `vertices` that were rounded to single precision far from their origin; empty if nothing."""
+    """What is wrong with `vertices` that were rounded to single precision far from their origin; empty if nothing is
+    wrong."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     step = step_of(low, high)
     if not step or len(vertices) < _FEW:
@@ -231,9 +232,9 @@ def coarse_steps(vertices: Float[HostArray, "v 3"]) -> str:
     if not is_rounded or are_whole(_ROUND * step) or are_whole(decimal(_ROUND * step)):
         return ""
     return (
-        f"is far from its origin, and its coordinates there have steps of {step:.2g}, which is "
-        f"{step / (high - low).max():.2%} of its size, as if stored in single precision: its shape is rounded; move it "
-        "to the origin before it is exported, and give its place with translate"
+        f"is far from its origin: its coordinates are rounded to steps of {step:.2g}, "
+        f"{step / (high - low).max():.2%} of its size, as in single precision, which changes its shape; move it to the "
+        "origin before it is exported, and give its place with translate"
     )
 
 

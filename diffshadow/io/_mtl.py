@@ -45,8 +45,8 @@ class Material(NamedTuple):
     """A material.
 
     - `factor`: its diffuse colour, linear.
-    - `texture`: of its base colour and opacity; none if it has none that can be read.
-    - `scale`, `offset`: what texture coordinates are multiplied by, and what is added then.
+    - `texture`: texture of its base colour and opacity; none if there is none that can be read.
+    - `scale`, `offset`: what texture coordinates are multiplied by, and what is then added.
     """
 
     factor: tuple[float, float, float] = (1.0, 1.0, 1.0)
@@ -135,7 +135,7 @@ class Materials:
 
 
 def files_of_materials(named: Iterable[str], folder: Path) -> list[Path]:
-    """The MTL files that an OBJ file names and the images that these name, as far as there are such."""
+    """The MTL files that an OBJ file names and the images that these name, if they exist."""
     files = [file for _, file in _files(named, folder) if file is not None]
     entries = [entry for file in files for entry in _read(file.content).values()]
     maps = [each for entry in entries for each in (entry.colour_map, entry.opacity_map) if each is not None]
@@ -183,7 +183,7 @@ def _read(data: bytes) -> dict[str, _Entry]:
         elif key == "kd":
             numbers = [float(word) for word in words if is_number(word)]
             if len(numbers) != len(words) or len(numbers) not in (1, 3):
-                entry.left_out.append("diffuse colour of a material, which is no red, green and blue")
+                entry.left_out.append("diffuse colour of a material, which is not given as red, green and blue")
                 continue
             red, green, blue = np.clip(numbers * (3 // len(numbers)), 0, 1).tolist()
             entry.factor = red, green, blue

@@ -24,7 +24,8 @@ def read_obj(data: bytes, folder: Path, with_uv: bool = False) -> Polygons:
     **Arguments:**
 
     - `folder`: the file's folder, where the files of materials are looked up.
-    - `with_uv`: whether to read texture coordinates where no material needs them. That takes as long as the faces.
+    - `with_uv`: whether to read texture coordinates where no material needs them. That takes as long as reading the
+        faces.
 
     **Raises** `MeshError` if the file is damaged.
     """
@@ -69,7 +70,7 @@ def read_obj(data: bytes, folder: Path, with_uv: bool = False) -> Polygons:
 
 
 def files_beside_obj(data: bytes, folder: Path) -> list[Path]:
-    """The files of materials, and their images, that an OBJ file in `folder` refers to, as far as there are such."""
+    """The files of materials, and their images, that an OBJ file in `folder` refers to, if they exist."""
     if b"mtllib" not in data:
         return []
     lines, at = _lines(decode(data))

@@ -20,7 +20,7 @@ class Pixels(NamedTuple):
     """The pixels of an image file.
 
     - `values`: row 0 is the bottom row.
-    - `remarks`: what the file says of its pixels that is not obeyed, each phrased to follow the file's name.
+    - `remarks`: metadata about pixels that is not obeyed, each phrased to follow the file's name.
     """
 
     values: HostArray
@@ -36,7 +36,7 @@ def check_size(file: Path, rows: int, columns: int) -> None:
 
 
 def upright(rows: Shaped[HostArray, "h w *c"], orientation: int) -> Shaped[HostArray, "h2 w2 *c"]:
-    """Turns an image whose row 0 is the top row as Exif's tag Orientation says (Exif 2.32, section 4.6.4)."""
+    """Rotates or mirrors an image by Exif's tag Orientation (Exif 2.32, section 4.6.4); row 0 is the top row."""
     match orientation:
         case 2:
             return rows[:, ::-1]
@@ -56,7 +56,7 @@ def upright(rows: Shaped[HostArray, "h w *c"], orientation: int) -> Shaped[HostA
 
 
 def mean_colour(channels: Sequence[Shaped[HostArray, "h w"]], remarks: list[str]) -> Float32[HostArray, "h w"]:
-    """The mean of one channel or several. Adds to `remarks` if they differ."""
+    """The mean of one channel or several. Adds a remark if the channels differ."""
     if len(channels) == 1:
         return np.asarray(channels[0], np.float32)
     stacked = np.stack(channels).astype(np.float32)
@@ -75,4 +75,4 @@ def three_colours(channels: Sequence[Shaped[HostArray, "h w"]], remarks: list[st
 
 
 Merge = Callable[[Sequence[Shaped[HostArray, "h w"]], list[str]], HostArray]
-"""What a reader makes of one or three channels; it may add remarks."""
+"""How a reader combines one or three channels; it may add remarks."""

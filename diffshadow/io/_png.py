@@ -37,10 +37,9 @@ class _Samples(NamedTuple):
 
 
 def read_png(file: Path, merge: Merge = mean_colour, curves: Sequence[str | None] = (None,)) -> Pixels:
-    """Reads an image from 0 to 1 as it is stored: the mean of its colours, or what `merge` makes of them. Alpha is
-    ignored.
+    """Reads an image from 0 to 1 as it is stored: the mean of its colours, or the result of `merge`. Alpha is ignored.
 
-    **Arguments:** `curves`: the encodings that are no cause for a remark.
+    **Arguments:** `curves`: the encodings that need no remark.
 
     **Raises** `FileError` for an animation, or too many pixels, and other errors if the file is damaged.
     """
@@ -168,7 +167,7 @@ def _remarks(chunks: Mapping[bytes, bytes], curves: Sequence[str | None]) -> Ite
     if encoding not in curves:
         read, mend = ("linear", "without a curve") if None in curves and len(curves) == 1 else ("sRGB", "in sRGB")
         yield (
-            f"has the chunk {encoding}; its values are read as {read} all the same, from 0 in shadow to 1 in light: "
+            f"has the chunk {encoding}; its values are still read as {read}, from 0 in shadow to 1 in light: "
             f"write them {mend}, or as .npy or .exr"
         )
     across, down, _ = struct.unpack(">IIB", chunks.get(b"pHYs", bytes(9)))

@@ -47,10 +47,10 @@ def triangulate(polygons: Polygons) -> Int[HostArray, "t 3"]:
     """The faces cut into triangles (t, 3) of the same corners, area and winding, in the same order.
 
     A face is cut as a fan from its first corner if that covers it, as it does for convex faces. A quad that needs its
-    other diagonal is cut along that one. All other faces are cut by manifold3d in their mean plane. manifold3d keeps
-    every corner, so that neighbours still share whole edges, and handles faces that touch themselves. Faces with holes
-    are like that: their outline runs to the hole and back along a bridge. A quad too bent for either method is cut
-    along its shorter diagonal. A face of fewer than three corners has no triangles.
+    other diagonal is cut along that diagonal. All other faces are cut by manifold3d in their mean plane. manifold3d
+    keeps every corner, so that neighbours still share whole edges, and handles faces that touch themselves. Faces with
+    holes touch themselves: their outline runs to the hole and back along a bridge. A quad too bent for either method is
+    cut along its shorter diagonal. A face of fewer than three corners has no triangles.
 
     **Raises** `MeshError` if a face crosses itself.
     """
@@ -122,7 +122,7 @@ def repeated(
 ) -> tuple[Float[HostArray, "v2 3"], Int[HostArray, "t2 3"], Float[HostArray, "v2 3"] | None]:
     """Vertices, triangles and normals in world space, once for each matrix; a mirror reverses the winding.
 
-    **Raises** `MeshError` for more triangles or vertices than memory has room for.
+    **Raises** `MeshError` for more triangles or vertices than fit into memory.
     """
     if len(to_world) * max(len(points), len(triangles)) > _MAX_REPEATED:
         raise MeshError(

@@ -26,9 +26,9 @@ _LIST = 160
 def decode(data: bytes) -> str:
     """Decodes text of unknown encoding that begins with an ASCII character.
 
-    The encoding is the byte order mark's if there is one; UTF-16 if the first or second byte is zero; UTF-8 if
-    the bytes are valid; otherwise Latin-1, in which any bytes are valid. Only comments and names have characters other
-    than ASCII.
+    If there is a byte order mark, it gives the encoding. Otherwise the encoding is UTF-16 if the first or second byte
+    is zero, UTF-8 if the bytes are valid, and else Latin-1, in which any bytes are valid. Only comments and names have
+    characters other than ASCII.
     """
     for mark, encoding in _MARKS:
         if data.startswith(mark):
@@ -71,9 +71,9 @@ def read_points(
 
     **Arguments:**
 
-    - `numbers`: of each line, for errors; by default they count from 1.
+    - `numbers`: each line's number, for errors; by default counted from 1.
 
-    **Raises** `MeshError` if a line has fewer, or a word that is not a number.
+    **Raises** `MeshError` if a line has fewer than three, or a word that is not a number.
     """
     words = [word for i in at for word in lines[i].split(None, first + 3)[first : first + 3]]
     try:

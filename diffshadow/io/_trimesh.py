@@ -17,7 +17,7 @@ _PACKAGE = re.compile(r"No module named '([^']+)'|pip install ([\w.-]+)")
 
 
 def suffix_of_others(file: Path) -> str | None:
-    """The suffix of `file`, without its dot, by which trimesh knows its format; none if trimesh does not read it."""
+    """The suffix of `file` without its dot, which names its format for trimesh; none if trimesh does not read it."""
     # trimesh takes long to load, and few files need it.
     from trimesh.exchange import load
 
@@ -32,7 +32,7 @@ def read_others(data: bytes, suffix: str, name: str) -> Polygons:
 
     **Arguments:**
 
-    - `suffix`: the format, as from `suffix_of_others`; `name`: the file's, by which trimesh knows what is compressed.
+    - `suffix`: the format, from `suffix_of_others`; `name`: the file's name, which tells trimesh what is compressed.
 
     **Raises** `MeshError` if the file is damaged, or a package that its format needs is missing.
     """

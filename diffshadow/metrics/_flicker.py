@@ -16,7 +16,7 @@ def flicker(visibility: ArrayLike, reference: ArrayLike, mask: ArrayLike | None 
 
     **Arguments:**
 
-    - `visibility`, `reference`: (n, h, w), in [0, 1], of at least two frames.
+    - `visibility`, `reference`: (n, h, w), values in [0, 1], for at least two frames.
     - `mask`: (n, h, w), the pixels that count; all of them by default. A pixel counts in a pair of frames if it counts
         in both.
 

@@ -44,8 +44,8 @@ def flip(
         import flip_evaluator
     except ImportError as error:
         raise ImportError(
-            f"FLIP needs the package flip-evaluator, which cannot be imported ({error}); expected it installed: "
-            "pip install flip-evaluator"
+            f"FLIP needs the package flip-evaluator, which cannot be imported ({error}); expected it to be "
+            "installed: pip install flip-evaluator"
         ) from error
     seen = np.where(inside[..., None], image, truth)
     found, *_ = flip_evaluator.evaluate(truth, seen, "LDR", applyMagma=False, computeMeanError=False)

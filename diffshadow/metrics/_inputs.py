@@ -23,7 +23,7 @@ def check_on_host(*given: Any) -> None:
 def as_images(
     visibility: ArrayLike, reference: ArrayLike, mask: ArrayLike | None
 ) -> tuple[Float64[HostArray, "h w"], Float64[HostArray, "h w"], Bool[HostArray, "h w"]]:
-    """Both images in float64, and the mask, all (h, w). Values outside the mask may be anything.
+    """Both images in float64, and the mask; all are (h, w). Values outside the mask may be anything.
 
     **Raises** `ValueError` if the shapes differ or are not (h, w), the mask is not boolean or is empty, or an image
     holds a value in the mask that is not from 0 to 1.
@@ -51,7 +51,7 @@ def as_images(
 def as_mask(mask: ArrayLike | None, shape: tuple[int, ...]) -> Bool[HostArray, "h w"]:
     """The mask (h, w) of images of `shape`; all pixels by default.
 
-    **Raises** `ValueError` if its shape is another, it is not boolean or it is empty.
+    **Raises** `ValueError` if the mask has another shape, is not boolean, or is empty.
     """
     inside = np.ones(shape, dtype=bool) if mask is None else np.asarray(mask)
     if inside.shape != shape or inside.dtype != bool:

@@ -38,7 +38,7 @@ def chamfer_distance(first: Triangles, second: Triangles, *, samples: int = _SAM
 
     - `first`, `second`: vertices (v, 3) and faces (f, 3).
     - `samples`: points on each surface; for 20,000 of them, the nearest point is searched.
-    - `seed`: of the points.
+    - `seed`: seed of the points.
     """
     check_on_host(first, second)
     rng = np.random.default_rng(seed)

@@ -42,9 +42,9 @@ def hides_light(scene: Scene, faces: Bool[HostArray, " f"], blockers: Blockers =
 
 
 def is_lit(scene: Scene, pixels: Bool[HostArray, "h w"], blockers: Blockers = Settings.blockers) -> bool:
-    """Whether a light reaches a surface seen through the centre of one of `pixels`; arguments as for `hides_light`.
+    """Whether a light reaches a surface seen through the centre of one of `pixels`; arguments are as for `hides_light`.
 
-    For a light with a size, 16 points are tried per pixel. It takes little time if a light does.
+    For a light with a size, 16 points are tried per pixel. It takes little time if a light reaches one.
 
     **Arguments:**
 
@@ -77,7 +77,7 @@ def _batches(job: Job) -> Iterator[tuple[Any, Any, Any]]:
 
 
 def hidden_pixels(scene: Scene, faces: Bool[HostArray, " f"]) -> Bool[HostArray, "h w"]:
-    """Pixels whose surface is turned to the centre of the scene's only light, and from which any of `faces` hides it.
+    """Pixels whose surface is turned to the centre of the scene's only light, where any of `faces` hides this centre.
 
     **Arguments:**
 

@@ -24,7 +24,7 @@ class Cutouts:
         self.tested = (self.index >= 0) & (self.cutoff[np.maximum(self.index, 0)] > 0)
 
     def only(self, faces: Bool[HostArray, " f"]) -> "Cutouts":
-        """Of the triangles selected by `faces` (f,)."""
+        """The cutouts of the triangles that `faces` (f,) selects."""
         some = object.__new__(Cutouts)
         some.cutoff, some.images, some.samplers = self.cutoff, self.images, self.samplers
         some.index, some.uv, some.tested = self.index[faces], self.uv[faces], self.tested[faces]
@@ -47,7 +47,7 @@ class Cutouts:
 def barycentrics_of(
     position: Float64[HostArray, "n 3"], corners: Float64[HostArray, "n 3 3"]
 ) -> Float64[HostArray, "n 3"]:
-    """The barycentric coordinates of points in the planes of triangles; 1/3 each for one without area."""
+    """The barycentric coordinates of points in the planes of triangles; 1/3 each for a triangle without area."""
     a, b, c = np.moveaxis(corners, 1, 0)
     normal = np.cross(b - a, c - a)
     squared = np.sum(normal * normal, axis=1)

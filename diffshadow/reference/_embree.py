@@ -118,7 +118,7 @@ def _scene_of(triangles: Triangles) -> EmbreeScene:
 def occluded(
     mesh: Mesh, points: Float[HostArray, "n 3"], directions: Float[HostArray, "n 3"], reach: float
 ) -> Bool[HostArray, " n"]:
-    """Whether a mesh, which none of the points lies on, blocks the rays from there, (n,).
+    """Whether a mesh blocks the rays that start at points, (n,). None of the points lies on the mesh.
 
     **Arguments:**
 

@@ -20,9 +20,9 @@ _STEP = 1e-5
 class HiddenPoints(NamedTuple):
     """Points that casters hide from a light. All lengths are in world units.
 
-    - `caster`: (n,), the index among the given faces of the one that hides a point.
+    - `caster`: (n,), the index, among the given faces, of the face that hides a point.
     - `position`, `normal`: (n, 3), the hidden points, and unit normals there, turned to the light.
-    - `area`: (n,), of the caster across the light that each point stands for.
+    - `area`: (n,), the caster's area across the light that each point represents.
     """
 
     caster: Int[HostArray, " n"]
@@ -32,10 +32,10 @@ class HiddenPoints(NamedTuple):
 
 
 def hidden_points(scene: Scene, faces: Int[HostArray, " n"], solid: Bool[HostArray, " f"]) -> HiddenPoints:
-    """What a ray meets that starts at a point of a face and goes away from the light.
+    """The hidden points along rays that start on a face and go away from the light.
 
-    Rays pass through solids: a point inside of one, or where one touches what it stands on, is no hidden point. They
-    end where they leave the scene, too.
+    Rays pass through solids: a point inside a solid, or where a solid touches the surface that it rests on, is not a
+    hidden point. Rays also end where they leave the scene.
 
     **Arguments:**
 

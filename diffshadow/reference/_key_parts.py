@@ -19,7 +19,7 @@ _OF_SHADING = {"inner_angle"}
 
 
 class KeyedScene(NamedTuple):
-    """A scene with one light, and what keys of all its references have in common."""
+    """A scene with one light, and the common part of the keys of its references."""
 
     scene: Scene
     mesh: tuple[HostArray, HostArray]
@@ -29,7 +29,7 @@ class KeyedScene(NamedTuple):
 
     @classmethod
     def of(cls, scene: Scene) -> "KeyedScene":
-        """Of a scene with one light; `ValueError` for several."""
+        """Takes a scene with one light; `ValueError` for several."""
         mesh = scene.mesh
         arrays = np.asarray(mesh.vertices), np.asarray(mesh.faces)
         return cls(scene, arrays, _cutouts(mesh), _fields(scene.camera), _fields(scene.light))
@@ -49,7 +49,7 @@ def key_parts(
     colours of corners and textures, a spot light's inner angle, and samples, sampler and seed for a light without size.
     For textures with an alpha test, it includes alpha, cutoffs, samplers and texture coordinates.
 
-    **Arguments:** `scene`: a scene, or its `KeyedScene`, which saves time for many keys. The others are as for
+    **Arguments:** `scene`: a scene, or its `KeyedScene`, which saves time for many keys. The other arguments are as for
     `trace_visibility`.
 
     **Raises** `ValueError` as `trace_visibility` does for several lights, `samples`, `sampler` and `supersampling`.

@@ -57,7 +57,7 @@ class Lamp:
 
         **Arguments:**
 
-        - `points`, `normals`: (n, 3), of the surface, in the tracing frame.
+        - `points`, `normals`: (n, 3), points and normals of the surface, in the tracing frame.
         - `samples`: (n, s, 2), points of the light's domain; the result has their dtype.
 
         **Returns:** the vectors, (n, s, 3), and their dot products with the normals, (n, s).

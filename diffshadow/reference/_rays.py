@@ -83,7 +83,7 @@ class ShadowRays(NamedTuple):
 
     - `origin`: (n, 3), where rays begin; `face`: (n,), the faces of the scene's mesh that they begin on.
     - `which`: (r,), the index of each ray's origin.
-    - `direction`: (r, 3), of any length.
+    - `direction`: (r, 3), directions, of any length.
     - `reach`: the greatest distance of an occluder, in multiples of `direction`; may be infinite.
     """
 

@@ -15,7 +15,7 @@ class Reference:
 
     - `visibility`: (h, w), visible fraction of the light, in [0, 1]; 1 where there is no surface.
     - `mask`: (h, w), where the camera sees a surface.
-    - `position`: (h, w, 3), of the surface, in world units from the scene's origin; 0 where there is none.
+    - `position`: (h, w, 3), position of the surface, in world units from the scene's origin; 0 where there is none.
     - `normal`: (h, w, 3), geometric unit normal, facing the camera; 0 where there is no surface.
     - `face`: (h, w), index into the mesh's faces; -1 where there is no surface.
     - `samples`: shadow rays per pixel, summed over its camera rays; 0 if the visibility was given, not traced.

@@ -58,7 +58,7 @@ _MAPPINGS: dict[Domain, Callable[[HostArray], HostArray]] = {"disk": concentric_
 class LightSampler:
     """Chooses the samples of a light for any range of pixels. A pixel's samples do not depend on the range.
 
-    - `domain`: the domain of the samples, as in the light's `domain`.
+    - `domain`: the domain of the samples, the light's `domain`.
     - `samples`: points per pixel.
     - `sampler`: `"sobol"`, one Owen-scrambled Sobol sequence, shifted for each pixel by a random vector modulo 1
       (Cranley and Patterson, "Randomization of number theoretic methods for multiple integration", SIAM Journal on
@@ -87,7 +87,8 @@ class LightSampler:
     def points(
         self, first: int, count: int, chosen: Int[HostArray, " n"] | slice = _ALL
     ) -> Float32[HostArray, "n s 2"]:
-        """The samples of pixels `first` to `first + count - 1`, or of the `chosen` ones of these, (n, samples, 2)."""
+        """The samples of pixels `first` to `first + count - 1`, or only of the `chosen` pixels among them, (n, samples,
+        2)."""
         if self._cell is None:
             square = _planar(self._points + _uniform(self.seed, first, (count, 1, 2))[chosen])
             square -= square >= 1

@@ -54,8 +54,8 @@ def trace_visibility(
     - `samples`: shadow rays per pixel, 1 to 65536. A light without size gets a single ray, to its centre.
     - `sampler`: `"sobol"` or `"stratified"`.
     - `seed`: seed of the sample points, an integer of 0 or more. The same arguments give the same image, bit for bit.
-    - `progress`: called with the fraction of pixels done, in (0, 1], in the calling thread. Left out,
-        `diffshadow.setup` decides whether a line shows it.
+    - `progress`: called with the fraction of pixels done, in (0, 1], in the calling thread. If left out,
+        `diffshadow.setup` decides whether a line shows the progress.
     - `supersampling`: camera rays along each side of a pixel, 1 to 8; 4 gives a 4 x 4 grid. Visibility is then the mean
       over the camera rays that hit a surface, which antialiases outlines. The shadow rays are divided among the camera
       rays, with at least one each. `position`, `normal` and `face` still belong to pixel centres.
@@ -84,7 +84,7 @@ def reference_from_image(visibility: Any, scene: Scene) -> Reference:
 
     **Arguments:**
 
-    - `visibility`: (h, w), in [0, 1], row 0 at the bottom; h and w are the camera's resolution.
+    - `visibility`: (h, w), values in [0, 1], row 0 at the bottom; h and w are the camera's resolution.
 
     **Returns:** a `Reference` with `samples` 0 and `standard_error` 0.
 
@@ -211,7 +211,8 @@ def _traced(
 class Job:
     """One image being traced. Images are flat arrays of pixels. If `sampling` is `None`, no shadow rays are traced.
 
-    - `tracer`: of all triangles, which the camera sees; `occluders`: of the triangles that block shadow rays.
+    - `tracer`: tracer of all triangles, which the camera sees; `occluders`: tracer of the triangles that block shadow
+        rays.
     """
 
     def __init__(

@@ -76,7 +76,8 @@ class Unit:
 
 @dataclass(frozen=True)
 class Form:
-    """How to write a value that is not a plain number, text or choice; `repeats` if one number may stand for all."""
+    """How to write a value that is not a plain number, text or choice; `repeats`: whether one number may replace
+    all."""
 
     words: str
     example: str = ""
@@ -114,7 +115,8 @@ class LongerThan:
 
 @dataclass(frozen=True)
 class InputFile:
-    """Marks the path of a file that a run reads. `builtin` is what paths begin with that name no file, if any do."""
+    """Marks the path of a file that a run reads. `builtin`: the beginning of paths that do not name a file, if there
+    are any."""
 
     builtin: str | None = None
 
@@ -140,7 +142,7 @@ class Setting:
 
     @classmethod
     def of(cls, annotation: Any, default: Any = MISSING, marks: Sequence[Any] = ()) -> "Setting":
-        """The setting of a type with marks; `marks` are more of these."""
+        """The setting of a type with marks; `marks` are additional marks."""
         kind, own = bare(annotation)
         return cls(kind, (*own, *marks), default, _is_optional(annotation))
 
@@ -194,7 +196,7 @@ class Setting:
         return next((mark.paths for mark in self.marks if isinstance(mark, At)), () if key == "type" else (key,))
 
     def expected(self, unit: str | None = None) -> str:
-        """The allowed values, in plain words; `unit` in place of its own."""
+        """The allowed values, in plain words; `unit` replaces the setting's own unit."""
         unit = self.unit if unit is None else unit
         unit = f", in {unit}" if unit else ""
         if self.form is not None:

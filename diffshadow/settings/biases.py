@@ -114,7 +114,7 @@ Number = Annotated[float, Limits(-MAX_FACTOR, MAX_FACTOR)]
 
 
 class Terms(Settings):
-    """The weights of a bias that is linear in what a shader knows of a receiver; a sum below 0 counts as 0."""
+    """The weights of a bias that is linear in what a shader knows about a receiver; a sum below 0 counts as 0."""
 
     one: Annotated[_Weight, "bias in texels everywhere; default: no such term"] = None
     slope: Annotated[_Weight, "bias in texels per unit of the receiver's slope; default: no such term"] = None

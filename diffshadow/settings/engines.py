@@ -10,11 +10,11 @@ from .techniques import Technique
 Side = Literal["front", "back", "double"]
 """Which faces of a mesh an engine draws."""
 Sides = Side | tuple[Side, ...]
-"""Of all meshes, or of each."""
+"""One side for all meshes, or one for each."""
 ShadowSides = Sides | tuple[Side | None, ...]
-"""Of all meshes, or of each; None for what the engine chooses."""
+"""One side for all meshes, or one for each; `None` for the engine's choice."""
 OTHER_SIDE: dict[Side, Side] = {"front": "back", "back": "front", "double": "double"}
-"""The side that three.js draws into shadow maps, of each side of a material: the renderer's own table."""
+"""The side that three.js draws into shadow maps for each side of a material: the renderer's own table."""
 ShadowType = Literal["BasicShadowMap", "PCFShadowMap", "PCFSoftShadowMap", "VSMShadowMap"]
 BabylonFilter = Literal[
     "NONE",
@@ -40,7 +40,7 @@ GodotMode = Literal["SHADOW_ORTHOGONAL", "SHADOW_PARALLEL_4_SPLITS"]
 EngineName = Literal[
     "godot", "bevy", "filament", "unity", "three.js", "babylon.js", "playcanvas", "godot_compatibility"
 ]
-"""An engine, as one names it to the command."""
+"""An engine's name on the command line."""
 ENGINES: dict[EngineName, str] = {
     "godot": "Godot 4",
     "bevy": "Bevy",
@@ -68,14 +68,14 @@ class Engine(Technique):
     """The shadows of an engine. Its map has the resolution of the section shadow_map; filter, bias and compare are the
     engine's own.
 
-    - `biases`: the keys of its depth bias and its normal bias, and `bias_names` what the engine calls them.
+    - `biases`: the keys of its depth bias and its normal bias; `bias_names`: the engine's names of these.
     - `follows_view`: whether the cameras of a directional light follow the view, so that texels have no fixed width.
-    - `filter_key`: the key that chooses its filter, and `filters` those that are fitted, of directional and spot lights
-        and of point lights.
-    - `kinds`: of the lights that it draws.
+    - `filter_key`: the key that chooses its filter; `filters`: the filters that are fitted, for directional and spot
+        lights and for point lights.
+    - `kinds`: the kinds of lights that it draws.
     - `has_square_maps`: whether the maps of all lights must be square.
-    - `default_size`: of its maps, texels along a side.
-    - `suffix`: of a file in its users' language.
+    - `default_size`: the default size of its maps, texels along a side.
+    - `suffix`: suffix of a file in the language of the engine's users.
     """
 
     is_whole = True
@@ -114,14 +114,14 @@ class ThreeJs(Engine):
         "light.shadow.bias: added to receivers' depth, so negative values lift them",
     ] = 0.0
     normal_bias: Annotated[_Length, Fitted(), "light.shadow.normalBias: shift of receivers along their normals"] = 0.0
-    radius: Annotated[Texels, Fitted(), "light.shadow.radius: of the filter; without effect in BasicShadowMap"] = 1.0
+    radius: Annotated[Texels, Fitted(), "light.shadow.radius: filter radius; no effect in BasicShadowMap"] = 1.0
     intensity: Annotated[Fraction, "light.shadow.intensity"] = 1.0
     blur_samples: Annotated[int, Limits(1, 256), "light.shadow.blurSamples, in VSMShadowMap"] = 8
     side: Annotated[_Sides, "material.side, for all meshes or for each"] = "front"
     shadow_side: Annotated[
         _ShadowSides | None,
-        "material.shadowSide of all meshes, or of each; default, and null in a list: the other side, in VSMShadowMap "
-        "the same",
+        "material.shadowSide, for all meshes or for each; default, and null in a list: the opposite side, but the same "
+        "side in VSMShadowMap",
     ] = None
     reversed_depth: Annotated[bool, "whether the renderer has reversedDepthBuffer"] = False
 
@@ -152,7 +152,7 @@ class BabylonJs(Engine):
         Limits(0, 1024, above_low=True),
         Unit("texels"),
         Fitted(),
-        "blurScale: radius of POISSONSAMPLING, or size of a map over its blur's size",
+        "blurScale: radius of POISSONSAMPLING, or a map's size divided by its blur's size",
     ] = 2.0
     depth_scale: Annotated[
         float,

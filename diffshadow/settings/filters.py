@@ -38,7 +38,7 @@ class Filter(Settings):
 
     @property
     def looks_up_nearest(self) -> bool:
-        """Whether it reads nearest texels, so that it has no gradient by where it reads."""
+        """Whether it reads nearest texels, so that it has no gradient with respect to the place that it reads."""
         return False
 
     @property
@@ -48,7 +48,7 @@ class Filter(Settings):
 
     @classmethod
     def reach_of(cls, values: Any) -> Any:
-        """The same for other `values` of its keys, such as a module's."""
+        """The same for other `values` of its keys, such as the values of a module."""
         return getattr(values, cls.radius_key, 0.0) + cls.beyond_radius
 
 
@@ -189,7 +189,7 @@ _Exponent = Annotated[float, Limits(1e-3, 42), Fitted()]
 
 
 class ExponentialVarianceShadowMap(Prefiltered):
-    """The lesser of Chebyshev's bounds for two exponentials of depth."""
+    """The smaller of Chebyshev's bounds for two exponentials of depth."""
 
     type: Literal["evsm"] = "evsm"
     positive_exponent: Annotated[_Exponent, "exponent of the positive warp; it separates overlapping occluders"] = 40.0

@@ -31,7 +31,7 @@ def widest_blur(*sides: int) -> float:
 
 _Tolerance = Annotated[float, Limits(0, 1, above_low=True, below_high=True)]
 Excess = Annotated[float, Limits(0, 10, above_low=True)]
-"""By which fraction of its best an error may exceed it."""
+"""How far an error may exceed the best, as a fraction of the best."""
 Blur = Annotated[float, Limits(0, MAX_TEXELS), Unit("pixels")]
 
 
@@ -131,10 +131,10 @@ class Sureness(Settings):
         Len(0, 16),
         Form("a list of at most 16 fractions", "[0.01, 0.05]"),
         At("within"),
-        "for each, how far every parameter may move before the error exceeds its best by this fraction, with the "
-        "others fitted again",
+        "fractions: for each, how far every parameter may move, with the others fitted again, before the error "
+        "exceeds the best by this fraction",
     ] = ()
-    tolerance: Annotated[Excess, "for prefer: fraction of its best by which the error may exceed it"] = 0.01
+    tolerance: Annotated[Excess, "for prefer: how far the error may exceed the best, as a fraction of the best"] = 0.01
     front: Annotated[
         int,
         Limits(0, 101),
@@ -196,7 +196,8 @@ Screen = Literal["facing", "below"]
 
 
 class Shape(Settings):
-    """A fit of all vertices of a mesh to its shadows on screens, one behind it for each light."""
+    """A fit of all vertices of a mesh to its shadows on screens. For each light there is one screen, behind the
+    mesh."""
 
     screen: Annotated[
         Screen, "surfaces that shadows fall on: screens that face their lights, or a level screen below"

@@ -30,7 +30,7 @@ class TracedReference(Reference):
     # More gain nothing in float32.
     samples: Annotated[int, Limits(1, 1 << 16), Unit("rays per pixel"), "shadow rays per pixel"] = 64
     sampler: Annotated[Sampler, "how points of the light are chosen"] = "sobol"
-    blockers: Annotated[Blockers, "meshes that block rays: casters, or all, also with casts: false"] = "casters"
+    blockers: Annotated[Blockers, "meshes that block rays: casters, or all, even those with casts: false"] = "casters"
     # More are not worth their memory.
     supersampling: Annotated[
         int,
@@ -40,12 +40,12 @@ class TracedReference(Reference):
     ] = 1
 
     def how(self, seed: int) -> dict[str, Any]:
-        """The arguments of `reference.trace_visibility` besides the scene."""
+        """The arguments of `reference.trace_visibility`, without the scene."""
         return {**{key: getattr(self, key) for key in self.each() if key != "type"}, "seed": seed}
 
 
 class PictureReference(Reference):
-    """A picture of the shaded scene, to which a fit brings camera, lights, meshes and colours."""
+    """A picture of the shaded scene. A fit finds the camera, lights, meshes and colours that reproduce it."""
 
     type: Literal["picture"] = "picture"
     path: Annotated[
@@ -61,13 +61,13 @@ class PictureReference(Reference):
     ] = None
     encoding: Annotated[Encoding | None, "of the picture's numbers; default: by the kind of its file"] = None
     exposure: Annotated[float, Limits(-20, 20), Unit("stops"), "by how much the drawn picture is brightened"] = 0.0
-    samples: Annotated[int, Limits(1, 1 << 16), Unit("rays per pixel"), "shadow rays per pixel, without a path"] = 64
+    samples: Annotated[int, Limits(1, 1 << 16), Unit("rays per pixel"), "shadow rays per pixel; without path only"] = 64
     supersampling: Annotated[
-        int, Limits(1, 8), Unit("camera rays per pixel side"), "camera rays along a pixel's side, without a path"
+        int, Limits(1, 8), Unit("camera rays per pixel side"), "camera rays along a pixel's side; without path only"
     ] = 4
 
     def how(self, seed: int) -> dict[str, Any]:
-        """The arguments of `reference.trace_visibility`, besides the scene, for a run that compares visibility."""
+        """The arguments of `reference.trace_visibility`, without the scene, for a run that compares visibility."""
         return {"samples": self.samples, "seed": seed}
 
 

@@ -19,8 +19,9 @@ from .engines import EngineName
 class Worth(NamedTuple):
     """What a bias is worth over some scenes.
 
-    - `price`: the mean of its error over that of the best bias for each scene.
-    - `acne`, `leaks`: the shares of scenes where more than a thousandth of the light is wrongly missing, or there.
+    - `price`: its error divided by the error of the best bias for the scene; the mean over scenes.
+    - `acne`, `leaks`: the shares of scenes where more than a thousandth of the light is wrongly missing, or wrongly
+        present.
     """
 
     price: float
@@ -39,8 +40,8 @@ class Numbers(NamedTuple):
 class Rule(NamedTuple):
     """A bias for any scene.
 
-    - `own`: what it is worth in the scenes that it was searched for in; `worth`: what rules are worth in scenes of a
-      kind that they were not searched for in, and `maps`: their price there by the side of the map in texels.
+    - `own`: its worth in the scenes in which it was searched; `worth`: the worth of rules in kinds of scenes in which
+        they were not searched; `maps`: their price there, by the map's side in texels.
     """
 
     bias: Numbers
@@ -50,12 +51,12 @@ class Rule(NamedTuple):
 
 
 class EngineRule(NamedTuple):
-    """A bias for an engine's default filter, and what the engine ships.
+    """A bias for an engine's default filter, and the engine's own default bias.
 
-    - `constant`, `normal_offset`: in texels, the offset with the engine's own profile. If `is_own`, they are the
-        engine's own settings, in scenes whose unit is a metre: where cameras of the light follow the view, no width of
-        a texel holds.
-    - `shipped`: what the engine's own default is worth, in scenes whose unit is a metre.
+    - `constant`, `normal_offset`: biases in texels; the offset has the engine's own profile. If `is_own`, they are the
+        engine's own settings, in scenes whose unit is a metre, because the light's cameras follow the view and texels
+        have no fixed width.
+    - `shipped`: the worth of the engine's own default, in scenes whose unit is a metre.
     """
 
     constant: float
@@ -68,7 +69,7 @@ class EngineRule(NamedTuple):
 _FOUND = json.loads(resources.files(__package__).joinpath("rules.json").read_text(encoding="utf-8"))
 
 SCENES: int = _FOUND["scenes"]
-"""The scenes that rules were searched for in."""
+"""How many scenes rules were searched for in."""
 KINDS: int = _FOUND["kinds"]
 """The kinds of these scenes. Rules were tested on each kind without it."""
 MAX_REACH: float = _FOUND["reach"]
@@ -77,25 +78,25 @@ PART: float = _FOUND["casters"]["part"]
 """The constant bias of a rule is at most this part of a typical caster's width, or of the kernel's if that is wider: a
 longer one takes shadows away."""
 CONSTANT, CONSTANT_PER_TEXEL, SLOPE, SLOPE_PER_TEXEL = map(float, _FOUND["formula"]["numbers"])
-"""Of a bias for any filter, in texels: for no reach, and for each texel of it."""
+"""The bias for any filter, in texels: for no reach, and for each texel of reach."""
 FORMULA_WORTH = Worth(*_FOUND["formula"]["worth"])
 """Means over the filters that were measured."""
 PLANE_CONSTANT: float = _FOUND["plane"]["number"]
-"""The constant bias beside one from the receiver's plane, in texels: for no reach, and for each texel of it."""
+"""The constant bias beside a bias from the receiver's plane, in texels: for no reach, and for each texel of reach."""
 PLANE_WORTH = Worth(*_FOUND["plane"]["worth"])
 """Means over the filters that were measured with such a bias."""
 FILTER_RULES = {
     name: Rule(Numbers(*of["bias"]), Worth(*of["worth"]), Worth(*of["own"]), of["maps"])
     for name, of in _FOUND["filters"].items()
 }
-"""By filter. Those with a receiver plane have a constant bias beside it."""
+"""The rules by filter. Filters with a receiver plane have a constant bias beside it."""
 STARTS = {name: Numbers(*bias) for name, bias in _FOUND["starts"].items()}
-"""By which numbers are not 0: the rule for a disk with a radius of 2 texels."""
+"""The rule for a disk with a radius of 2 texels, by the names of the numbers that are not 0."""
 ENGINE_RULES: dict[EngineName, EngineRule] = {
     name: EngineRule(of["bias"][0], of["bias"][1], of["own"], Worth(*of["worth"]), Worth(*of["shipped"]))
     for name, of in _FOUND["engines"].items()
 }
-"""By the names that the command takes."""
+"""The rules by the engines' names on the command line."""
 MEASURED = (
     filters.Nearest,
     filters.Bilinear,
@@ -105,7 +106,7 @@ MEASURED = (
     filters.Castano,
     filters.RandomDisk,
 )
-"""Filters that have a rule of their own, or that of a box: their taps are compared one by one, as far as a known
+"""Filters that have a rule of their own, or the rule of a box: their taps are compared one by one, as far as a known
 reach."""
 RULED = (
     *MEASURED,
@@ -115,7 +116,7 @@ RULED = (
     filters.MomentShadowMap,
     filters.PercentageCloserSoft,
 )
-"""All filters that have a rule. Those that compare no taps one by one have the same for all radii."""
+"""All filters that have a rule. Filters that do not compare taps one by one have the same rule for all radii."""
 _NONE, _OTHERS = Numbers(0.0, 0.0, 0.0), Numbers(0.5, 0.5, 0.0)
 # Of a texel. Nobody types more.
 _DIGITS = 2
@@ -150,21 +151,22 @@ _BY_KIND = _measured()
 
 
 def measured_of(kind: type[Any]) -> list[Measured]:
-    """What was measured of a kind of filter, or of boxes for one whose taps are compared one by one, by ascending
-    reach; empty if nothing was."""
+    """The measurements of a kind of filter, by ascending reach; empty if there are none. A filter whose taps are
+    compared one by one takes the measurements of boxes."""
     others = _BY_KIND[filters.PercentageCloser] if issubclass(kind, MEASURED) else []
     return next((found for each, found in _BY_KIND.items() if issubclass(kind, each)), others)
 
 
 def bias_of(kind: type[Any], reach: float, *, plane: bool = False, across: float = math.inf) -> Numbers:
     """The bias for a kind of filter that reads the map as far as `reach` texels from the receiver, beside a bias from
-    the receiver's plane if there is a `plane`. Beside a plane, filters that take no compares one by one have none.
+    the receiver's plane if there is a `plane`. With a plane, filters that do not take compares one by one have no other
+    bias.
 
-    It is the filter's own rule where one was measured, else that of a box with the same reach. Between two reaches that
-    were measured, it is interpolated. Beyond the widest, the slope bias grows as in the formula for any filter.
+    It is the filter's own rule where one was measured, else the rule of a box with the same reach. Between two reaches
+    that were measured, it is interpolated. Beyond the widest, the slope bias grows as in the formula for any filter.
 
-    **Arguments:** `across`: how many texels a typical caster has across, if it is known: the constant is at most
-    `PART` of that, or of the kernel's width.
+    **Arguments:** `across`: how many texels a typical caster is wide, if known. The constant is at most `PART` of this
+    width, or of the kernel's width.
     """
     bias = _bias_of(kind, reach, plane=plane)
     return bias._replace(constant=min(bias.constant, round(PART * max(across, 2 * reach), _DIGITS)))

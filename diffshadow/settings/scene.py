@@ -31,7 +31,7 @@ image. In OpenGL and glTF, `REPEAT`, `CLAMP_TO_EDGE` and `MIRRORED_REPEAT`."""
 Wraps = Wrap | tuple[Wrap, Wrap]
 """Along both axes, or along u and along v."""
 TexelFilter = Literal["linear", "nearest"]
-"""What a texture shows between the middles of its texels: their bilinear mean, or the nearest one's."""
+"""What a texture shows between the middles of its texels: their bilinear mean, or the value of the nearest texel."""
 LightKind = Literal["directional", "spot", "point"]
 """The lights of engines and of files."""
 
@@ -45,7 +45,7 @@ class Cutout(Settings):
 
 
 class Camera(Settings):
-    """What an image is seen from."""
+    """The camera that an image is seen from."""
 
     type: Any
     resolution: Annotated[Size, Unit("pixels"), "[height, width] in pixels"] = (512, 512)

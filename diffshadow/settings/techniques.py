@@ -171,7 +171,7 @@ class ShadowVolumes(Technique):
 
     type: Literal["shadow_volumes"] = "shadow_volumes"
     method: Annotated[
-        VolumeMethod, "faces of volumes that count: those behind the surface, or those in front of it"
+        VolumeMethod, "which faces of volumes count: faces behind the surface, or faces in front of it"
     ] = "z_fail"
 
 

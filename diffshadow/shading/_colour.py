@@ -27,7 +27,7 @@ class Colour(eqx.Module):
 
 
 def as_colour(value: Any) -> Any:
-    """A `Colour` of one number, or of three; anything else as it is."""
+    """A `Colour` from one number or from three; anything else stays as it is."""
     if isinstance(value, Colour):
         return value
     if np.ndim(value) == 0 and not isinstance(value, str):
@@ -36,5 +36,5 @@ def as_colour(value: Any) -> Any:
 
 
 def as_colours(value: Any) -> Any:
-    """A tuple of `Colour`s of a list of what `as_colour` takes; anything else as it is."""
+    """A tuple of `Colour`s from a list of values that `as_colour` accepts; anything else stays as it is."""
     return tuple(map(as_colour, value)) if isinstance(value, tuple | list) else value

@@ -47,12 +47,12 @@ class Phong(AbstractShading):
     """Ambient, diffuse and specular reflection.
 
     - `ambient`: light from all directions, without shadows; added once, not once for each light.
-    - `intensity`: of each light: the colour of a white diffuse surface that faces the light. With several lights,
-        divide it by their number to keep the brightness. `intensities`: an intensity for each light, instead of
+    - `intensity`: each light's intensity: the colour of a white diffuse surface that faces the light. With several
+        lights, divide it by their number to keep the brightness. `intensities`: an intensity for each light, instead of
         `intensity`.
     - `specular`: fraction of the light that the highlight reflects; `shininess`: its exponent.
     - `background`: colour of pixels without a surface.
-    - `attenuation`: by the distance to a light that is not directional.
+    - `attenuation`: attenuation with the distance to a light that is not directional.
     - `model`: `"blinn_phong"`, highlight (N·H)^shininess with H the half vector (Blinn 1977), or `"phong"`,
         (R·V)^shininess with R the reflected light direction (Phong 1975).
 

@@ -66,7 +66,7 @@ def aliasing(shadow_map: ShadowMap, surface: Surface, camera: AbstractCamera, ch
 
     **Arguments:**
 
-    - `choice`: the layers that the surface is looked up in; the light's layers if left out.
+    - `choice`: the layers that the surface is looked up in; by default the light's choice.
     """
     choice = Choice(shadow_map.light.layer(surface.position)) if choice is None else choice
     view, map_view, resolution = camera.view(), shadow_map.view.facing(choice.layer), shadow_map.resolution

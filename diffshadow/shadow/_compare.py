@@ -19,8 +19,9 @@ from ._shader import Constant, ShaderPart, number, text_of
 class AbstractCompare(CheckedModule):
     """Compares stored depth with receiver depth.
 
-    - `has_depth_derivative`: whether the result has a derivative with respect to depth. If not, it changes only where
-        `receiver` passes `stored`. Elsewhere, a texel with a silhouette is compared once for all of its parts.
+    - `has_depth_derivative`: whether the result has a derivative with respect to depth. If it has none, the result
+        changes only where `receiver` passes `stored`. Elsewhere, a texel with a silhouette is compared once for all of
+        its parts.
     """
 
     @property
@@ -43,7 +44,7 @@ class AbstractCompare(CheckedModule):
     def shader(self) -> ShaderPart:
         """The function `shadow_compare` of a shader.
 
-        **Raises** `ValueError` if it has none.
+        **Raises** `ValueError` if it has no shader.
         """
         raise ValueError(
             f"the compare is of type {type(self).__name__}, which has no shader; expected HardCompare or SoftCompare"
@@ -124,7 +125,8 @@ float shadow_compare(float stored, float receiver, float depth_per_texel) {{
 class SoftCompare(AbstractCompare):
     """A compare that rises smoothly from shadowed to lit, `k((stored - receiver) / width)`.
 
-    - `width`: in texel widths along the light's axis, more than 0. In the limit 0 it is the hard compare.
+    - `width`: the compare's width, in texel widths along the light's axis; more than 0. In the limit 0 it is the hard
+        compare.
     - `kernel`: `"logistic"`, 1 / (1 + exp(-t)); `"gaussian"`, the normal CDF with standard deviation `width`;
         `"linear"` and `"smoothstep"`, ramps from -width to width; `"exponential"`, min(1, exp(t)), as in exponential
         shadow maps (Annen et al. 2008).

@@ -47,9 +47,10 @@ def draw_shadow_map(
 
     - `resolution`: (height, width) in texels.
     - `depth_layer`: the surface whose depth a texel stores. `"nearest"`: the nearest. `"midpoint"` (Woo, "The Shadow
-        Depth Map Revisited", Graphics Gems III, 1992): the mean of the window depths of the two nearest, or of the
-        nearest and the far plane if there is only one. It needs no bias except near silhouettes, where the two surfaces
-        meet. `"second"` (Wang & Molnar 1994): the second nearest; a surface with nothing behind it casts no shadow.
+        Depth Map Revisited", Graphics Gems III, 1992): the mean of the window depths of the two nearest surfaces, or of
+        the nearest surface and the far plane if there is only one surface. It needs no bias except near silhouettes,
+        where the two surfaces meet. `"second"` (Wang & Molnar 1994): the second nearest surface; a surface with nothing
+        behind it casts no shadow.
     - `cull`: the faces that do not cast. `"front"` moves acne from lit faces to unlit ones, which are dark anyway;
         light leaks where another surface lies close behind the unlit faces. Use it for closed meshes only: an open mesh
         loses casters.
@@ -59,19 +60,19 @@ def draw_shadow_map(
         by `factor · max(|dz/dx|, |dz/dy|) + units · r`, with slopes per texel and `r` the smallest depth difference
         that the format is guaranteed to resolve.
     - `edges`: the mesh's edges, for a map with silhouettes; needs depth layer `"nearest"` and cull `"none"`.
-    - `crossings`: the number of crossings of silhouettes with the sides of texels for which there is memory; a static
-        number, by default from `plan_crossings`. Under a trace, it is required with `edges`.
+    - `crossings`: for how many crossings of silhouettes with the sides of texels memory is reserved; a static number,
+        by default from `plan_crossings`. Under a trace, it is required with `edges`.
     - `raises`: whether more crossings are an error. Otherwise the map's `overflow` says whether there are more
         crossings. If so, draw again with more memory.
     - `shift`: (2,), a shift of the grid of texels, in texels: points move by so much along x and y of the map. Points
         stay within their texel, since the window moves with the grid. `None` for no shift.
     - `buffer`: as for `rasterize`; ignored with `edges`.
 
-    **Raises** `ValueError` if `depth_layer` is unknown, if `edges` are given with another one than `"nearest"` or with
-    `cull`, or without `crossings` under a trace, if `edges` or a `polygon_offset` are given for a warped map, or
-    `edges` for one with pages or with cascades of several sizes, or a `shift` for any of these, or `edges` for a mesh
-    with an alpha test, whose cut outlines are no edges, and what `rasterize` raises; and a runtime error if the
-    silhouettes have more `crossings`.
+    **Raises** `ValueError` if `depth_layer` is unknown; if `edges` are given with a `depth_layer` other than
+    `"nearest"`, with `cull`, under a trace without `crossings`, or for a mesh with an alpha test, whose cut outlines
+    are not edges; if a warped map has `edges` or a `polygon_offset`; if a map with pages or with cascades of several
+    sizes has `edges`; if any of these maps has a `shift`; and what `rasterize` raises. **Raises** a runtime error if
+    the silhouettes have more `crossings`.
 
     !!! Example
 
@@ -195,8 +196,8 @@ _MAX_SHARED = 2049
 class MapSettings:
     """How a shadow map is drawn; see `draw_shadow_map`.
 
-    - `silhouettes`: whether the map holds silhouettes. With `None`, it does if lights or meshes are fitted, because
-        derivatives with respect to these need them.
+    - `silhouettes`: whether the map stores silhouettes. With `None`, it does if lights or meshes are fitted, because
+        derivatives with respect to lights and meshes need silhouettes.
 
     **Raises** `ValueError` for a value that is not allowed.
 
@@ -224,16 +225,16 @@ class MapSettings:
         check_settings(self)
 
     def draw(self, casters: Mesh, light: AbstractLight, **how: Any) -> ShadowMap:
-        """The shadow map of `casters` under `light`; `edges`, `crossings`, `raises` and `shift` as for
+        """The shadow map of `casters` under `light`; `edges`, `crossings`, `raises` and `shift` are as for
         `draw_shadow_map`."""
         given = {name: value for name, value in vars(self).items() if name != "silhouettes"}
         return draw_shadow_map(casters, light, **given, **how, buffer=self.buffer(self.resolution))
 
     def buffer(self, image: Resolution) -> Resolution | None:
-        """The buffer for `draw_surface` with which an `image` of this size and the map are drawn by one program.
+        """The buffer for `draw_surface` that lets one program draw both the map and an `image` of this size.
 
-        **Returns** `None` if the image does not fit in, if the map is so large that sharing would not pay, or if its
-        depths are stored otherwise than an image's, which takes another program.
+        **Returns** `None` if the image does not fit into the map's buffer, if the map is so large that sharing would
+        not pay, or if the map stores depths in another way than an image, which needs another program.
         """
         if self.depth_format != "float32" or self.polygon_offset is not None:
             return None
@@ -246,7 +247,7 @@ class MapSettings:
 class MapPlan(eqx.Module):
     """What a technique needs to draw a scene's shadow map inside `jax.jit`: edges, and memory for silhouettes.
 
-    - `edges`: of the casters; `None` for a map without silhouettes.
+    - `edges`: edges of the casters; `None` for a map without silhouettes.
     - `crossings`, `raises`: as for `draw_shadow_map`.
     """
 

@@ -40,7 +40,7 @@ class IrregularZBuffer(AbstractTechnique):
     Hoetzlein & Lefohn 2015, "Frustum-traced raster shadows", take 32).
 
     A light's size is ignored. As in a shadow map, a point outside of the light's frustum, or behind a light with a
-    cone, is lit and does not count as covered. The frustum's near and far planes cut nothing.
+    cone, is lit and does not count as covered. The frustum's near and far planes clip nothing.
 
     Visibility is 0 or 1 and has no gradient.
     """
@@ -56,7 +56,7 @@ class IrregularZBuffer(AbstractTechnique):
     def visibility(self, state: IrregularScene, surface: Surface) -> Visibility:
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
 
-        A surface that faces away from the light's centre is dark, and one outside of the light's frustum is lit. Pixels
+        A surface that faces away from the light's centre is dark. A surface outside the light's frustum is lit. Pixels
         without a surface are lit.
         """
         points, face = surface.position.reshape(-1, 3), surface.face.reshape(-1)

@@ -14,7 +14,7 @@ Jacobian = Float[Array, "h w 2 2"]
 
 
 def pixels_of(camera: AbstractCamera) -> Callable[[VectorMap], TexelMap]:
-    """A function from world points (h, w, 3) to their places on the screen of `camera`, in pixels."""
+    """A function that maps world points (h, w, 3) to their positions on the screen of `camera`, in pixels."""
     view, resolution = camera.view(), camera.resolution
 
     def pixel(points: VectorMap) -> TexelMap:
@@ -32,13 +32,13 @@ def pixels_per_texel(
     points: VectorMap,
     normals: Float[Array, "k h w 3"],
 ) -> Float[Array, "k h w 2 2"]:
-    """By how many pixels along x and y (rows) points of surfaces move on the screen if they move by one texel along a
+    """How far points of surfaces move on the screen, in pixels along x and y (rows), if they move by one texel along a
     map's x and y (columns); 0 where the map sees the surface edge-on.
 
     **Arguments:**
 
     - `pixel`, `texel`: functions from world points (h, w, 3) to places on the screen and in the map, (h, w, 2).
-    - `points`: (h, w, 3); `normals`: of each of k surfaces through them.
+    - `points`: (h, w, 3); `normals`: the normals of each of k surfaces through these points.
     """
     ways = jnp.stack(tangents(normals))
     moved = lambda project: jax.vmap(jax.vmap(lambda way: jax.jvp(project, (points,), (way,))[1]))(ways)

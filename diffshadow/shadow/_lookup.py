@@ -23,8 +23,8 @@ from .biases import BiasTerms
 
 
 class Lookup(eqx.Module):
-    """The places where receivers sample the map, and the depths that they compare. Shapes are an image's; any other
-    works.
+    """The places where receivers sample the map, and the depths that they compare. Shapes are given for an image; any
+    other shape works too.
 
     - `x`, `y`: (h, w), in texels; the centre of the first texel is at (0.5, 0.5). `Lookup(...)` takes both as one array
         `texel` (h, w, 2).
@@ -37,8 +37,8 @@ class Lookup(eqx.Module):
     - `layer`: (h, w), the number of the light's map that is read; `None` if there is only one.
     - `deepest`: (h, w), upper bound on the window depth of the receiver plane; `None` for no bound.
     - `position`: the points in the world whose projections are x and y: their x, y and z, (h, w) each; `None` if not
-        known. With it, derivatives by x and y under a hard compare are computed only where there are silhouettes.
-        `Lookup(...)` takes one array (h, w, 3).
+        known. If it is known, derivatives with respect to x and y under a hard compare are computed only where there
+        are silhouettes. `Lookup(...)` takes one array (h, w, 3).
     """
 
     # Separate arrays for x and y: XLA does not vectorize them when they are interleaved in memory.

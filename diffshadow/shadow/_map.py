@@ -35,8 +35,8 @@ class ShadowMap(eqx.Module):
     - `depth_format`: how depths are stored.
     - `silhouettes`: the casters' outlines within texels; `None` if the map was drawn without edges.
     - `padded`: its depths in an `Atlas`, which look-ups then read instead of padding `depth`.
-    - `view`: the light's view, which every program that reads the map needs. It is computed once with the map. For
-        another light, make another map.
+    - `view`: the light's view, which every program that reads the map needs. The view is computed once with the map.
+        For another light, make another map.
     - `overflow`: whether silhouettes are missing, so that the map is wrong; `None` if drawing raises instead.
     - `crossings`: how many sides of texels the silhouettes cross, including missing silhouettes; known if `overflow`
         is.

@@ -36,8 +36,8 @@ class ProjectiveTexture(eqx.Module):
         row. (l, h, w) for a light with several views.
     - `light`: the light it was drawn from.
     - `casts`: (f,), whether each face of the scene's mesh belongs to a caster.
-    - `margin`: how many texels on each side lie outside the light's frustum. They contain only coverage that the blur
-        spreads there.
+    - `margin`: how many texels on each side lie outside the light's frustum. These texels contain only coverage that
+        the blur spreads there.
     """
 
     coverage: Float[Array, "*l h w"]
@@ -55,9 +55,9 @@ class ProjectiveTexture(eqx.Module):
 class ProjectiveShadow(AbstractTechnique):
     """Shadows by a projected texture, with bilinear look-ups.
 
-    - `resolution`: of the texture, (height, width) in texels.
+    - `resolution`: resolution of the texture, (height, width) in texels.
     - `blur`: radius of the blur kernel, in texels; up to 0.5 nothing is blurred.
-    - `max_blur`: upper bound on `blur`, in texels. Defaults to `blur`, or to 8 if that is traced.
+    - `max_blur`: upper bound on `blur`, in texels. Defaults to `blur`, or to 8 if `blur` is traced.
     - `kernel`: `"box"`, whose radius is half its width, `"tent"` or `"gaussian"`, cut off at three standard deviations.
 
     Differentiable with respect to the blur and to the receivers' places in the texture. Coverage is sampled at texel

@@ -3,8 +3,8 @@
 A camera's image of points (h, w, 3), in world units, is projected into the light's view. Each point gets a place in the
 map (h, w, 2), in texels, with the centre of the first texel at (0.5, 0.5), a window depth (h, w), in [0, 1] within the
 light's depth range, and a layer (h, w) if the map has several. It also gets the inputs of a bias: the cosine to the
-light, the width of a texel in world units, and the receiver plane's depth slope in the map, (h, w, 2). Pixels without
-a surface hold finite dummy values.
+light, the width of a texel in world units, and the receiver plane's depth slope in the map, (h, w, 2). Pixels without a
+surface have finite dummy values.
 """
 
 import equinox as eqx
@@ -32,16 +32,16 @@ class Receiver(eqx.Module):
     """The surface as the light sees it: the input of a bias.
 
     - `position`: (h, w, 3), world units; `normal`: (h, w, 3), unit, geometric.
-    - `cosine`: (h, w), of the angle between the normal and the direction to the light's centre.
+    - `cosine`: (h, w), cosine of the angle between the normal and the direction to the light's centre.
     - `texel`: (h, w, 2), its place in the map, x and y in texels; `depth`: (h, w), its window depth.
     - `in_front`: (h, w), whether it is in front of the light.
     - `texel_size`: (h, w), width of a shadow-map texel there, in world units.
     - `depth_per_texel`: (h, w), change of window depth over that length along the light's axis.
     - `slope`: (h, w, 2), the receiver plane's depth slope along the map's x and y, in texel widths per texel.
-    - `rounding`: (h, w), bound on the rounding error between the map's depth and its own depth (or the depth of its
-        plane under a kernel), in window depth.
-    - `distance`: (h, w), along the light's axis, 0 at the map's near plane and 1 at its far plane; `depth_range`: from
-        one to the other, in world units.
+    - `rounding`: (h, w), bound on the rounding error between the map's depth and the receiver's depth (or the depth of
+        the receiver's plane under a kernel), in window depth.
+    - `distance`: (h, w), distance along the light's axis, 0 at the map's near plane and 1 at its far plane;
+        `depth_range`: the distance between these planes, in world units.
     - `stored`: (h, w), the map's window depth at the texel that it falls in; 1 beyond the map.
     - `layer`: (h, w), the number of the light's map in which it lies; `None` if there is only one.
     """
@@ -63,7 +63,7 @@ class Receiver(eqx.Module):
 
 
 def receiver(shadow_map: ShadowMap, surface: Surface, layer: Int[Array, "h w"] | None = None) -> Receiver:
-    """The surface as the light sees it. Pixels without a surface hold finite dummy values.
+    """The surface as the light sees it. Pixels without a surface have finite dummy values.
 
     **Arguments:**
 
@@ -99,9 +99,10 @@ def receiver(shadow_map: ShadowMap, surface: Surface, layer: Int[Array, "h w"] |
 
 
 def is_in_front(view: View, w: Float[Array, "*n"]) -> Bool[Array, "*n"]:
-    """Whether points are in front of the light, by `w` of their clip coordinates.
+    """Whether points are in front of the light, according to `w` of their clip coordinates.
 
-    Those in the plane of a spot light are not, where the divide overflows: nothing that close to it casts a shadow.
+    Points in a spot light's own plane do not count as in front, since the divide overflows there and nothing so close
+    to the light casts a shadow.
     """
     return w > (_BESIDE * view.near if view.is_perspective else 0)
 

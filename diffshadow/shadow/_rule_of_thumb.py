@@ -11,7 +11,7 @@ from .filters import AbstractFilter
 
 
 def bias_for(filter: AbstractFilter, plane: AbstractBias | None = None, *, across: float = math.inf) -> Bias:
-    """The bias for a filter that works in many scenes. A configuration without a bias uses it.
+    """The bias for a filter that works in many scenes. A configuration without a bias uses this rule.
 
     It is a rule of thumb, measured over a collection of scenes: a constant bias, a slope bias and, under wide filters,
     a normal offset. A fit to a scene has less error. The documentation's page on rules of thumb has figures.
@@ -19,7 +19,7 @@ def bias_for(filter: AbstractFilter, plane: AbstractBias | None = None, *, acros
     **Arguments:**
 
     - `plane`: a `ReceiverPlane()` that is a part of the bias. The other parts are then smaller. A `ReceiverPlane` with
-        other numbers was not measured. With it, or with an `AdaptiveBias`, the other parts are 0.
+        other numbers was not measured. With a plane or an `AdaptiveBias`, the other parts are 0.
 
     **Raises** `ValueError` for a filter with a traced radius.
 

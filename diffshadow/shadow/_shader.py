@@ -14,7 +14,7 @@ Value = bool | int | float | tuple[float, ...]
 
 
 class Constant(NamedTuple):
-    """A number of a shader, or an array of them, whose name gets the prefix `SHADOW_`.
+    """A number of a shader, or an array of numbers, whose name gets the prefix `SHADOW_`.
 
     - `about`: what it is, with its unit.
     """
@@ -27,7 +27,7 @@ class Constant(NamedTuple):
 class ShaderPart(NamedTuple):
     """Functions of a shader, and the constants that they use.
 
-    - `textures`: names of the textures that `shadow_filter` reads besides the map.
+    - `textures`: names of the textures that `shadow_filter` reads in addition to the map.
     """
 
     constants: tuple[Constant, ...]
@@ -36,12 +36,12 @@ class ShaderPart(NamedTuple):
 
 
 class ShaderBias(NamedTuple):
-    """A bias in a shader. Its expressions are of `at`, a `ShadowReceiver`.
+    """A bias in a shader. Its expressions may use `at`, a `ShadowReceiver`.
 
     - `depths`: expressions whose sum is subtracted from the receiver's window depth.
     - `offsets`: expressions whose sum is how far the receiver moves along its normal, in texels.
-    - `follows_plane`: whether each texel is compared with the receiver's plane; `deepest` bounds how much deeper that
-        may be, in window depth; none for no bound.
+    - `follows_plane`: whether each texel is compared with the receiver's plane; `deepest`: how much deeper the plane
+        may be than the receiver, in window depth; none if there is no bound.
     """
 
     part: ShaderPart = ShaderPart((), "")
@@ -52,7 +52,7 @@ class ShaderBias(NamedTuple):
 
 
 def constants_of(*each: tuple[str, Any, str]) -> tuple[Constant, ...]:
-    """Constants of a name, a value and what it is; those whose value is none are left out."""
+    """Constants, each from a name, a value and its meaning; constants whose value is none are left out."""
     return tuple(Constant(name, number(value), about) for name, value, about in each if value is not None)
 
 

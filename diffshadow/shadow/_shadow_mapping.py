@@ -89,8 +89,8 @@ class ShadowMapping(AbstractTechnique):
 
         - `surface`: as for `prepare`.
         - `margin`: the memory, as a multiple of the memory for the silhouettes of this scene.
-        - `raises`: whether a map of more silhouettes is an error. Otherwise `ShadowMap.overflow` says whether a map has
-            more.
+        - `raises`: whether a map with more silhouettes is an error. Otherwise `ShadowMap.overflow` says whether a map
+            has more.
 
         **Raises** `ValueError` inside `jax.jit`, and the errors of the layout.
         """
@@ -128,7 +128,7 @@ class ShadowMapping(AbstractTechnique):
         return self.layers.draw(casters, light, edges=plan.edges, crossings=plan.crossings, raises=plan.raises)
 
     def light_of_map(self, scene: Scene, surface: Surface | None = None) -> AbstractLight:
-        """The light that the map is drawn from: the scene's only one, as the layout lays it out.
+        """The light that the map is drawn from: the scene's only light, with the views of the layout.
 
         **Arguments:**
 
@@ -153,8 +153,8 @@ class ShadowMapping(AbstractTechnique):
         return _covered(self.layout, self.bias, state, surface)
 
     def shift(self, state: ShadowMap, surface: Surface) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
-        """How far the bias moves the surface at each pixel along the light's axis, (h, w), 0 where the map does not
-        cover it, and how wide a texel is there, (h, w), both in world units."""
+        """How far the bias moves the surface at each pixel along the light's axis, (h, w), 0 outside the map; and the
+        width of a texel there, (h, w). Both are in world units."""
         return _shift(self.layout, self.bias, state, surface)
 
     def casting_sides(self, scene: Scene) -> tuple[Side | None, ...]:

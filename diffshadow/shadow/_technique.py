@@ -58,7 +58,7 @@ class AbstractTechnique(CheckedModule):
 
 
 def of_casters(sides: Sequence[Side], scene: Scene) -> tuple[Side | None, ...]:
-    """The `sides` of meshes that cast, and none for the others."""
+    """The `sides` of meshes that cast, and none for other meshes."""
     return tuple(one if casts else None for one, casts in zip(sides, scene.casts or (True,) * len(sides), strict=True))
 
 

@@ -59,7 +59,7 @@ class VolumeScene(eqx.Module):
 
     - `casters`: visible, and cast shadows. Volumes are watertight if coincident vertices are bitwise equal.
     - `light`, `camera`: the light that extrudes the volumes, and the camera that sees them.
-    - `edges`: of `casters`.
+    - `edges`: edges of `casters`.
     - `receivers`: surfaces that are visible but cast no shadow, or `None`.
     """
 
@@ -91,7 +91,8 @@ class ShadowVolumes(AbstractTechnique):
         front of the surface, without caps; cheaper, but wrong if the eye is inside a volume or the near plane cuts a
         volume.
 
-    Every light is a point light or a directional one: a spot light's cone is ignored, and so is a light's size.
+    Every light counts as a point light or a directional light: a spot light's cone is ignored, and so is a light's
+    size.
 
     A mesh that does not cast stops neither light nor shadow. A caster's shadow falls on such a wall, and again on
     surfaces behind the wall (a "ghost shadow"). Let the wall cast to avoid this.
@@ -104,7 +105,7 @@ class ShadowVolumes(AbstractTechnique):
     method: VolumeMethod = eqx.field(static=True, default=Settings.method)
 
     def prepare(self, scene: Scene, surface: Surface | None = None) -> VolumeScene:
-        """The scene's casters with their edges. It does not depend on `surface`; not for use inside `jax.jit`.
+        """The scene's casters with their edges. It does not depend on `surface`, and cannot be used inside `jax.jit`.
 
         Edges depend on the mesh alone: to draw one mesh many times, find them once.
 
@@ -164,7 +165,7 @@ def shadow_volumes(
 
     **Arguments:**
 
-    - `edges`: of `casters`.
+    - `edges`: edges of `casters`.
     - `caps`: whether volumes are capped, by the casters' faces and by the same faces at infinity.
     """
     view = _endless(camera.view())

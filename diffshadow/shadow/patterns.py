@@ -54,10 +54,10 @@ class Pattern(eqx.Module):
 
 
 def interleaved_gradient_noise(shape: tuple[int, ...], first: float = 0.0) -> Float[Array, "h w"]:
-    """Noise in [0, 1) for the pixels of an image of `shape` (h, w), evenly spread over any 3 x 3 of them.
+    """Noise in [0, 1) for the pixels of an image of `shape` (h, w), evenly spread over any 3 x 3 pixels.
 
-    After Jimenez (2014), as cited for `Pattern`. `first` is both coordinates of the lower left pixel: 0.5 where pixels
-    are at their centres.
+    After Jimenez (2014), as cited for `Pattern`. `first` is the value of both coordinates of the lower left pixel: 0.5
+    where pixels are at their centres.
     """
     height, width = shape
     x, y = (jnp.arange(size, dtype=jnp.float32) + first for size in (width, height))
@@ -102,8 +102,8 @@ def stratified(
 
     **Arguments:**
 
-    - `samples`: (angles, rings), the strata of each set. Or the number of strata: the grid is then as square as
-        possible, and its outer rings have one more stratum if the number does not divide evenly.
+    - `samples`: (angles, rings), the strata of each set. Or the total number of strata: the grid is then as square as
+        possible, and the outer rings have one more stratum if the number does not divide evenly.
 
     **Returns:** a pattern with one point per stratum, from the outer ring inwards. Strata have equal areas. If rings
     have more than 8 strata, the outermost point of each octant comes first. Point (u, v) of the jittered unit square
@@ -237,7 +237,7 @@ def poisson_disk(
     """Random points with a minimum distance between them, with a different set for each pixel of a tile (Cook,
     "Stochastic Sampling in Computer Graphics", ACM Transactions on Graphics 5(1), 1986).
 
-    Darts are thrown at a periodic square, and those too close to an earlier one are dropped. Each set consists of the
+    Darts are thrown at a periodic square, and darts too close to an earlier dart are dropped. Each set consists of the
     `samples` darts nearest to a random point. Scaled to the unit disk, they are at least about 1.3 / √n apart.
 
     Arguments and errors are as for `uniform`.

@@ -11,7 +11,7 @@ from .._types import HostArray
 class Drawn(NamedTuple):
     """A scene as one of its lights and the camera see it, and its reference.
 
-    - `key`: of the light, such as `"scene.light"`.
+    - `key`: key of the light, such as `"scene.light"`.
     - `scene`: the scene with only that light.
     - `state`: the technique's state for the light.
     - `mask`: (h, w), the pixels that count: where raster and reference see a surface, and the technique covers it.
@@ -28,7 +28,8 @@ class Drawn(NamedTuple):
 
     @property
     def noise_floor(self) -> float | None:
-        """Noise floor of the reference, in visibility; `None` for a reference from a file, whose noise is unknown."""
+        """Noise floor of the reference, in visibility; `None` for a reference from a file, since its noise is
+        unknown."""
         return self.reference.noise_floor if self.reference.samples else None
 
     @property

@@ -18,12 +18,12 @@ def report(folder: Path, *, form: str | None = None, dpi: int = 150) -> Path:
     **Arguments:**
 
     - `form`: `"png"`, `"svg"` or `"pdf"` writes the run's figures again, too, beside the page.
-    - `dpi`: of these figures, in pixels per inch.
+    - `dpi`: the figures' resolution, in pixels per inch.
 
     **Returns** the page.
 
-    **Raises** `FileError` if `folder` is missing, holds no run, sweep or recommendation, or an unfinished one, or
-    cannot be written to, and `ValueError` if `dpi` is out of range.
+    **Raises** `FileError` if `folder` is missing, holds no finished run, sweep or recommendation, or cannot be written
+    to; `ValueError` if `dpi` is out of range.
     """
     if not 10 <= dpi <= 2400:
         raise ValueError(f"dpi is {dpi}; expected 10 to 2400 pixels per inch, such as 300")
@@ -44,8 +44,8 @@ def report(folder: Path, *, form: str | None = None, dpi: int = 150) -> Path:
 
 
 def next_after(folder: Path) -> list[Command]:
-    """What to do after the run, sweep or recommendation in `folder`, as on its page; nothing without one: of several
-    processes, the first alone writes.
+    """What to do after the run, sweep or recommendation in `folder`, as on its page. Nothing if `folder` is none, since
+    only the first of several processes writes.
 
     **Raises** `FileError` if it is damaged.
     """

@@ -473,7 +473,7 @@ def test_alpha_tests_are_reported_where_outlines_of_whole_faces_matter(text, why
     with pytest.raises(ConfigError) as caught:
         load_config(file, fitting=True)
     assert str(caught.value).startswith(
-        f"{file}:2: scene.meshes.0.alpha_cutoff: is 0.5 {why}, whose outlines are those of whole faces; expected "
+        f"{file}:2: scene.meshes.0.alpha_cutoff: is 0.5 {why}, whose outlines follow whole faces; expected "
         "meshes without an alpha test; remove it, or "
     )
 

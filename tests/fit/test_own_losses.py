@@ -205,7 +205,10 @@ def test_what_is_no_loss_is_refused(loss, message):
             "the loss returns a number, and optimistix' Dogleg needs residuals; expected a minimiser, or an array",
         ),
         ({"loss": absolute, "solver": Solver()}, "a number, and levenberg_marquardt needs residuals"),
-        ({"loss": absolute, "sureness": Sureness(front=3)}, "a front of 3 points is asked for with a loss of your own"),
+        (
+            {"loss": absolute, "sureness": Sureness(front=3)},
+            "a front of 3 points was requested with a loss",
+        ),
     ],
 )
 def test_losses_that_do_not_suit_what_is_asked_for_are_refused(settings, message, known):

@@ -131,7 +131,7 @@ def test_nonsense_is_refused(views):
         train([], numbers)
     with pytest.raises(ValueError, match="where selects no number of the technique; expected some"):
         train(views, lambda technique: technique.compare)
-    with pytest.raises(ValueError, match="a number starts below its lower bound; expected each at or above it"):
+    with pytest.raises(ValueError, match="a number starts below its lower bound; expected no number below it"):
         train(views, numbers, lower=1.0)
     blind = [dataclasses.replace(views[0], mask=jnp.zeros_like(views[0].mask))]
     with pytest.raises(ValueError, match="no pixel of any view counts"):

@@ -104,7 +104,7 @@ PLAIN = {
     "one frame": (with_chunk(b"acTL", struct.pack(">II", 1, 0)), TOP),
 }
 REMARKED = {
-    "curve": (with_chunk(b"sRGB", b"\0"), TOP, "has the chunk sRGB; its values are read as linear all the same"),
+    "curve": (with_chunk(b"sRGB", b"\0"), TOP, "has the chunk sRGB; its values are still read as linear"),
     "gamma": (with_chunk(b"gAMA", struct.pack(">I", 45455)), TOP, "has the chunk gAMA, of the exponent 0.45455;"),
     "profile": (
         with_chunk(b"iCCP", b"Display P3\0\0" + zlib.compress(bytes(200))),

@@ -96,7 +96,7 @@ def test_a_light_that_shines_at_itself_is_remarked(tmp_path):
     target = {"uuid": "t", "type": "Object3D", "matrix": SUN["matrix"]}
     scene = read_scene(stored(tmp_path, MESH, {**SUN, "target": "t"}, target, EYE))
     assert scene.lights[0].direction == (0, 0, -1)
-    assert any(remark.startswith("sun: its target is where it stands itself") for remark in scene.remarks)
+    assert any(remark.startswith("sun: its target is at its own position") for remark in scene.remarks)
     scene = read_scene(stored(tmp_path, MESH, {**SUN, "target": "t"}, {**target, "matrix": None}, EYE))
     assert not any("where it stands" in remark for remark in scene.remarks)
 

@@ -188,9 +188,9 @@ def test_constants_have_all_digits_and_a_comment():
 @pytest.mark.parametrize(
     ("technique", "message"),
     [
-        (shadow.ShadowVolumes(), r"the technique is ShadowVolumes, .*; nearest comes ShadowMapping"),
-        (shadow.IrregularZBuffer(), r"the technique is IrregularZBuffer, .*; nearest comes ShadowMapping"),
-        (shadow.ProjectiveShadow(), r"the technique is ProjectiveShadow, .*; nearest comes ShadowMapping"),
+        (shadow.ShadowVolumes(), r"the technique is ShadowVolumes, .*; the most similar is ShadowMapping"),
+        (shadow.IrregularZBuffer(), r"the technique is IrregularZBuffer, .*; the most similar is ShadowMapping"),
+        (shadow.ProjectiveShadow(), r"the technique is ProjectiveShadow, .*; the most similar is ShadowMapping"),
         (shadow.ThreeJs(), r"the technique is ThreeJs, .*; `diffshadow convert` writes its settings"),
         (
             mapping(Nearest(), Bias(1.0, factors=(1.0, 2.0))),

@@ -289,7 +289,7 @@ def test_the_cheapest_of_those_within_the_noise_is_recommended():
             "constant: 0, slope: 0, normal_offset: 9",
             "bias.normal_offset: {lower: 0, upper: 16}",
             "bias.normal_offset = 9 texels is far more",
-            "100% of that on scene.meshes.1 (builtin:plane), where the light meets surfaces at 5°",
+            "100% of it on scene.meshes.1 (builtin:plane), where the light meets surfaces at 5°",
             marks=pytest.mark.exhaustive,
         ),
     ],
@@ -304,7 +304,7 @@ def test_a_bias_far_above_the_usual_is_explained(bias, bounds, said, asking):
     assert numbers is not None
     usual, fitted = map(float, numbers.groups())
     assert usual > fitted
-    assert re.search(r"[\d,]+ pixels of [\d,]+ in light ask for more, and would lose more than a tenth of it", found)
+    assert re.search(r"[\d,]+ pixels of [\d,]+ in light need a larger bias: with the usual one", found)
     assert asking in found
     # A usual one that is as good is to be taken.
     (free,) = large_biases(parse_config(text, low, fitting=True), 1.0)

@@ -144,9 +144,9 @@ def test_exports_of_configurations_compile_without_a_warning(name, tmp_path):
 
 
 def test_what_has_no_shader_is_refused_before_a_file_is_written(tmp_path):
-    with pytest.raises(ConfigError, match=r"IrregularZBuffer, which has no shader: .*; nearest comes"):
+    with pytest.raises(ConfigError, match=r"IrregularZBuffer, which has no shader: .*; the most similar is"):
         export(tmp_path, SUN, "glsl", "technique={type: irregular_z_buffer}")
-    with pytest.raises(ConfigError, match=r"map.silhouettes is true, .*: nearest comes a map of more texels"):
+    with pytest.raises(ConfigError, match=r"map.silhouettes is true, .*: the most similar is a map of more texels"):
         export(tmp_path, SUN, "glsl", "filter={type: pcf}", "shadow_map.silhouettes=true")
     assert not (tmp_path / "out").exists()
 

@@ -146,7 +146,7 @@ def test_a_checkpoint_that_does_not_fit_on_the_disk_keeps_the_last_one(tmp_path,
         with pytest.raises(io.FileError) as caught:
             again.write(state(3))
         assert str(caught.value).startswith(f"cannot write {checkpoint.file}: No space left on device")
-        assert str(caught.value).endswith("; the fit then goes on after step 2, which is kept")
+        assert str(caught.value).endswith("; the fit then continues after step 2, which is kept")
     kept = checkpoint.read()
     assert kept is not None
     assert kept.step == 2

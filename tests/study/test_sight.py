@@ -49,7 +49,7 @@ def test_camera_that_sees_nothing_names_the_cause(camera, cause):
     said = blind_camera(*scene_of(f"scene.camera={camera}"), NOTHING)
     assert said is not None
     assert cause in said
-    assert "and the scene's size 5.74 world units; expected a part of the scene in sight; " in said
+    assert "and the scene's size is 5.74 world units; expected a part of the scene in sight; " in said
 
 
 def test_near_that_follows_from_a_far_mesh_is_reported():
@@ -100,7 +100,7 @@ def test_light_that_misses_what_is_seen_names_the_cause(light, cause, mend):
     said = blind_light(*scene_of(f"scene.light={light}"), surface_at([0, 1, 0], [0.2, 1, 0.1]))
     assert cause in said
     assert mend in said
-    assert "and the scene's size 5.74 world units; expected a surface that both see" in said
+    assert "and the scene's size is 5.74 world units; expected a surface that both see" in said
 
 
 def test_bias_that_moves_receivers_out_of_the_frustum_is_named():

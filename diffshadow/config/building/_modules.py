@@ -112,7 +112,7 @@ def is_truth(config: Config) -> bool:
 
 
 def build_arrangement(config: Config, scene: geometry.Scene) -> fit.Arrangement:
-    """The technique of `config`, with its lights and meshes in their initial poses, and for a fit to a picture its
+    """The technique of `config`, with its lights and meshes in their initial poses; for a fit to a picture also its
     camera and shading.
 
     **Raises** `ConfigError` if a vertex to fit does not exist in its mesh.

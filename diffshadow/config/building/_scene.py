@@ -34,8 +34,8 @@ _MIN_NEAR = 1e-3
 
 
 class Surroundings(NamedTuple):
-    """What cameras and lights are placed relative to: all points (n, 3), the casters' points (m, 3), and the first
-    mesh's centre and radius. All are counted from `origin`, a point of the world."""
+    """The surroundings that cameras and lights are placed in: all points (n, 3), the casters' points (m, 3), and the
+    first mesh's centre and radius. All are counted from `origin`, a point of the world."""
 
     points: Float[HostArray, "n 3"]
     casters: Float[HostArray, "m 3"]
@@ -104,8 +104,8 @@ def build_scene(config: Config, built: BuiltMeshes | None = None) -> geometry.Sc
 
     Warns with `io.MeshWarning` about contents of mesh files other than triangles.
 
-    **Raises** `ConfigError` for each mesh, camera or light that cannot be made, with its key, and for an open mesh that
-    casts if only back faces cast.
+    **Raises** `ConfigError`, with the key, for each mesh, camera or light that cannot be made, and for an open mesh
+    that casts if only back faces cast.
 
     !!! Example
 
@@ -119,7 +119,7 @@ def build_scene(config: Config, built: BuiltMeshes | None = None) -> geometry.Sc
 
 
 def build_meshes(config: Config) -> BuiltMeshes:
-    """The meshes of `config`, and what its camera and its lights are placed relative to.
+    """The meshes of `config`, and the surroundings that its camera and its lights are placed in.
 
     **Raises** `ConfigError` as `build_scene` does.
     """

@@ -40,7 +40,7 @@ _AXES = "xyz"
 class Screen(NamedTuple):
     """A light, the screen that its shadows fall on, and the camera that sees nothing but the screen.
 
-    - `key`: of the light in the configuration.
+    - `key`: key of the light in the configuration.
     """
 
     key: str
@@ -81,7 +81,7 @@ class ShapePlan(NamedTuple):
     - `start`: the mesh at the start; `None` for the visual hull of the targets. `symmetry`: as for `fit.ShapeProblem`.
     - `targets`: the mesh whose shadow each light should cast; empty if there are images.
     - `truth`: the mesh that casts all of these shadows, if there is one.
-    - `images`, `weights`: (h, w), of each light; empty without images.
+    - `images`, `weights`: (h, w), an image and weights for each light; empty without images.
     - `remarks`: sentences on images that look wrong.
     """
 
@@ -177,7 +177,7 @@ def _welded(mesh: geometry.Mesh) -> geometry.Mesh:
 
 
 def build_free(config: Config, start: geometry.Mesh) -> Bool[HostArray, " v"]:
-    """Which vertices (v,) of the mesh that a fit starts from move.
+    """Which vertices (v,) move, of the mesh that a fit starts from.
 
     **Raises** `ConfigError` if none does.
     """
@@ -236,8 +236,8 @@ def _image_remarks(
         if share > _MOSTLY:
             yield (
                 f"fit.shape.images.{i} ({shape.images[i]}) is dark in {share:.0%} of the pixels at its border that "
-                "count, and a shadow is dark on white: if the shape is white in it, invert the image; if its shadow "
-                "is cut off, raise fit.shape.extent and show all of it"
+                "count, but a shadow should be dark on white: if the shape is white, invert the image; if the shadow "
+                "is cut off, show the whole shadow and raise fit.shape.extent"
             )
 
 

@@ -139,7 +139,7 @@ def build_compare(section: Compare) -> shadow.AbstractCompare:
 
 
 def build_layout(config: Config, *, fitting: bool) -> shadow.AbstractLayout:
-    """How the map of `config` is laid out; `fitting` as for `build_filter`."""
+    """How the map of `config` is laid out; `fitting` is as for `build_filter`."""
     if not isinstance(config.technique, FittedLayout):
         return shadow.SingleMap()
     bounds = config.fit.parameters if fitting else {}
@@ -151,7 +151,7 @@ def build_layout(config: Config, *, fitting: bool) -> shadow.AbstractLayout:
 
 
 def module_of(section: Any) -> Any:
-    """The module that a section of several variants describes."""
+    """The module that a section with several variants describes."""
     settings = settings_of(type(section))
     return _MODULES[settings] if settings.plugin is None else _guarded(settings)
 

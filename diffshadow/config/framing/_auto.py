@@ -12,7 +12,7 @@ _SUN = ("azimuth", "elevation", "direction")
 
 
 class Asked(NamedTuple):
-    """Which parts are to be found: a camera without a place, a light of the type auto, and a ground.
+    """Which parts the program has to find: a camera without a position, a light of the type auto, and a ground.
 
     - `sun`: whether the light must be a sun, since some of its angles are given.
     """
@@ -26,7 +26,7 @@ class Asked(NamedTuple):
 def spell_out(data: dict[str, Any]) -> None:
     """Writes the parts of `data` that are `auto` as sections, so that overrides can set other keys in them.
 
-    A camera that views orbit with starts from its default orbit.
+    If views set a camera's orbit, the camera starts from the default orbit.
     """
     scene = data.get("scene")
     if isinstance(scene, dict):
@@ -40,8 +40,8 @@ def spell_out(data: dict[str, Any]) -> None:
 
 
 def asked_in(data: dict[str, Any]) -> tuple[Asked, dict[str, Any]]:
-    """The parts that `data`, whose values may have any type, leaves to the program, which are spelled out; and the data
-    with a sun in place of a light that is to be found, to check all other values by."""
+    """The parts that `data` leaves to the program, and the data with a sun in place of a light that has to be found, so
+    that all other values can be checked. Values of `data` may have any type."""
     spell_out(data)
     scene = data.get("scene")
     if not isinstance(scene, dict):

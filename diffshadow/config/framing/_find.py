@@ -29,14 +29,15 @@ _arranged: dict[bytes, geometry.Arranged] = {}
 
 
 class Found(NamedTuple):
-    """The section `scene` with the parts that were found, and what was found, each a sentence without a full stop."""
+    """The section `scene` with the parts that were found, and a sentence without a full stop for each."""
 
     scene: dict[str, Any]
     notes: tuple[str, ...]
 
 
 def find(config: Config, scene: Mapping[str, Any], asked: Asked) -> Found | None:
-    """The parts of `scene` that are `asked` for; none if one of its meshes cannot be made, which building it reports.
+    """Finds the `asked` parts of `scene`; none if one of its meshes cannot be made, since building the mesh reports
+    this.
 
     **Arguments:**
 
@@ -160,7 +161,8 @@ def _orbited(orbit: Any, first: Float[HostArray, "f 3 3"]) -> Float[HostArray, "
 
 
 def corners_of(section: MeshConfig) -> Float[HostArray, "f 3 3"]:
-    """The triangles of a mesh in the world, in double precision. Warnings on its file come as the scene is built."""
+    """The triangles of a mesh in the world, in double precision. Warnings about its file come when the scene is
+    built."""
 
     def make() -> Float[HostArray, "f 3 3"]:
         with warnings.catch_warnings():

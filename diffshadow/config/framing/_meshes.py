@@ -39,7 +39,7 @@ class Placed(NamedTuple):
 def build_mesh(config: MeshConfig) -> geometry.Mesh:
     """One mesh, placed in the world.
 
-    **Raises** `ValueError` if its file cannot be used, its options are not valid, or it reaches too far.
+    **Raises** `ValueError` if its file cannot be used, its options are not valid, or its coordinates are too large.
     """
     return place_mesh(config).counted_from(geometry.WORLD)
 

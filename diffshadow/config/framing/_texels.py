@@ -23,10 +23,11 @@ _NEAR = 1e-6
 
 
 def texels_across(config: Config) -> Float[HostArray, " n"]:
-    """How many texels of a single map each caster has across, which is the middle side of its bounding box in texels
-    at its middle; under several lights, those of the light whose texels are largest for them.
+    """How many texels of a single map each caster is wide: the middle side of its bounding box, in texels at its
+    middle. With several lights, the light with the largest texels counts.
 
-    Meshes without a thickness are left out. It is empty if a mesh cannot be made, which building it reports.
+    Meshes without a thickness are left out. The result is empty if a mesh cannot be made, since building the mesh
+    reports this.
     """
     try:
         boxes = np.stack([box_of(mesh) for mesh in config.scene.meshes])

@@ -31,7 +31,7 @@ class AdvisedTechnique(NamedTuple):
     """A technique of a recommendation.
 
     - `bias`, `filter`: the labels of its entries.
-    - `resolution`: of its map, (height, width) in texels.
+    - `resolution`: resolution of its map, (height, width) in texels.
     """
 
     bias: str
@@ -42,7 +42,7 @@ class AdvisedTechnique(NamedTuple):
 class Advice(NamedTuple):
     """The fits of a recommendation.
 
-    - `sweep`: a fit for each technique; `techniques`: these, in the same order.
+    - `sweep`: a fit for each technique; `techniques`: the techniques, in the same order.
     - `engine`: the engine, if the techniques are an engine's.
     """
 

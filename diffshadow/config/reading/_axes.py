@@ -37,8 +37,8 @@ def levels_of(settings: AxesConfig, draft: Draft) -> list[list[Choice]]:
 
     **Arguments:**
 
-    - `settings`: a section of axes; `draft`: of the configuration that it stands in. A sweep's `repeats` count upwards
-        from its seed.
+    - `settings`: a section of axes; `draft`: the draft of the configuration that contains the section. A sweep's
+        `repeats` count upwards from its seed.
 
     **Raises** `ConfigError` if no file matches a pattern, or the sun is below the horizon.
     """
@@ -72,7 +72,7 @@ def levels_of(settings: AxesConfig, draft: Draft) -> list[list[Choice]]:
 
 
 def steps_of(flicker: FlickerConfig | None) -> list[Choice]:
-    """The points along the path over which flicker is measured; none without one."""
+    """The points along the path over which flicker is measured; none without such a path."""
     if flicker is None:
         return []
     paths = {key: ("sweep", "flicker", "through", key) for key in flicker.through}
@@ -90,7 +90,7 @@ def _seeds(settings: SweepConfig, draft: Draft) -> list[list[Choice]]:
 
 
 def written(draft: Draft, choice: Choice, origin: Origin) -> Draft:
-    """`draft` with the values of `choice`. Their places are the places of the axes, taken from `origin`."""
+    """`draft` with the values of `choice`. Their places in the file are the places of the axes, taken from `origin`."""
     data, places, mistakes = copy.deepcopy(draft.data), dict(draft.origin.places), list(draft.mistakes)
     for key, value in choice.values.items():
         # JSON is YAML, so an override preserves the value.

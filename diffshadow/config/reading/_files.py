@@ -24,7 +24,7 @@ _VIEWS = (("fit", "views"), ("fit", "validation"))
 
 
 def files_in(value: Any, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Any, str]]:
-    """Each path of an input file in `value`, which stands at the key `path`: its key, what holds it, and the path.
+    """Each path of an input file in the `value` at the key `path`: its key, the section that contains it, and the path.
 
     **Arguments:**
 
@@ -55,7 +55,7 @@ def _mark_at(path: KeyPath) -> InputFile | None:
 def resolve_files(data: Any, origin: Origin, folder: Path) -> list[Mistake]:
     """Makes the paths of input files in `data` absolute.
 
-    **Returns** a mistake for each file that does not exist. Files of views are looked for as each view is checked.
+    **Returns** a mistake for each file that does not exist. Files of views are looked for when the view is checked.
     """
     mistakes = []
     for path, holder, given in [*files_in(data)]:

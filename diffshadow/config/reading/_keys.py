@@ -18,7 +18,7 @@ from ..sections._section import Section, Variants, marked, type_of
 class Slot(Setting):
     """A value of the schema.
 
-    - `field`: the field that holds it.
+    - `field`: the field that contains it.
     - `siblings`: all variants of the section, if it is one of them.
     """
 
@@ -33,7 +33,7 @@ class Slot(Setting):
         return (self.kind,) if isinstance(self.kind, type) and issubclass(self.kind, Section) else ()
 
     def variant(self, word: str | int) -> type[Section] | None:
-        """The variant that is called `word`, where a type selects one."""
+        """The variant that is called `word`, if a type selects variants."""
         return None if self._named is None else self._named.named(word)
 
     @property
@@ -54,9 +54,9 @@ ROOT = Slot(Config)
 
 @dataclass(frozen=True)
 class FollowedPath:
-    """The result of `follow`: the path of keys, the value's slot in the schema, and the section that holds it.
+    """The result of `follow`: the path of keys, the value's slot in the schema, and the section that contains it.
 
-    `slot` is `None` for a key that is not in the schema. `section` is `None` if a list or a dict holds the value. If
+    `slot` is `None` for a key that is not in the schema. `section` is `None` if a list or a dict contains the value. If
     the section has several variants, `section` is one of `variants`.
     """
 
@@ -122,7 +122,7 @@ def places_of(key: str) -> tuple[str, ...]:
 
 
 def is_key(name: str) -> bool:
-    """Whether there are configurations with the dotted key `name`. An index may be of any length of its list."""
+    """Whether there are configurations with the dotted key `name`. An index is valid for a list of any length."""
     path: KeyPath = tuple(0 if word.isdecimal() else word for word in name.split("."))
     known = _every_key()
     # The numbers of a list have no keys of their own.

@@ -18,9 +18,9 @@ _SIDES = (256, 512, 1024, 2048, 4096)
 class Number(NamedTuple):
     """A number of a configuration.
 
-    - `value`, `unit`, `limits`: of its key.
+    - `value`, `unit`, `limits`: value, unit and limits of its key.
     - `meaning`: what it does; empty if nothing says so.
-    - `is_fittable`: whether a fit of the technique can find it.
+    - `is_fittable`: whether a fit of the technique can find its value.
     """
 
     value: float
@@ -33,8 +33,8 @@ class Number(NamedTuple):
 class Choice(NamedTuple):
     """A setting of a configuration that has one of several values, or is a whole number.
 
-    - `value`, `options`: of its key; no options of a whole number, which has `limits`.
-    - `sets`: the key to set: the whole section, for the key `type` of one.
+    - `value`, `options`: value and options of its key; a whole number has `limits` in place of options.
+    - `sets`: the key to set; for the key `type` of a section, the whole section.
     - `meaning`: what it does; empty if nothing says so.
     """
 
@@ -46,7 +46,7 @@ class Choice(NamedTuple):
 
 
 def numbers_of(config: Config) -> dict[str, Number]:
-    """The numbers of technique, lights, meshes, camera and shading that can change while all else stays as it is
+    """The numbers of technique, lights, meshes, camera and shading that can change while everything else stays as it is
     built, by dotted key. Entries of lists have an index, as in `scene.meshes.0.translate.1`."""
     found = {}
     for key, light in config.scene.each_light.items():
@@ -77,7 +77,7 @@ def choices_of(config: Config) -> dict[str, Choice]:
 
 
 def with_number(config: Config, name: str, value: float) -> Config:
-    """`config` with another `value` of one of `numbers_of`, which is not checked."""
+    """`config` with another `value` for one of `numbers_of`. The value is not checked."""
     return config.with_value(name.split("."), value)
 
 

@@ -28,7 +28,7 @@ _COPY = "copy config.yaml to another folder, set the values of result.json in it
 class SettingsFile(NamedTuple):
     """A configuration's file.
 
-    - `origin`: where its values come from, as a part of a sentence.
+    - `origin`: where the configuration's values come from, as a part of a sentence.
     """
 
     path: Path
@@ -63,13 +63,13 @@ def settings_file(path: str | os.PathLike[str], *, sweep: bool = False) -> Setti
     else:
         name, origin = _found(result, str(given))
     if not (folder / name).is_file():
-        mend = "run it again: an earlier version wrote none" if name == FITTED_FILE else "run it again"
+        mend = "run it again, since earlier versions did not write it" if name == FITTED_FILE else "run it again"
         raise _mistake(str(given), f"holds an incomplete run: it has no {name}; expected that file; {mend}")
     return SettingsFile(folder / name, f"{origin}, {folder / name}")
 
 
 def with_fitted(config: Config, values: Mapping[str, float], source: str = "the fitted configuration") -> Config:
-    """`config` with these numbers, by their keys, as values and as the start of its fit, and with the layout of the
+    """`config` with these numbers, by their keys, as its values and as the start of its fit. It has the layout of the
     fit.
 
     `source` is the name of the configuration in errors.
@@ -97,7 +97,7 @@ def _found(result: Mapping[str, Any], path: str) -> tuple[str, str]:
     # Runs of a sweep have no kind.
     is_fit = kind == "fit" or (isinstance(metrics, Mapping) and any(key.startswith("fitted.") for key in metrics))
     if is_fit and any(name.startswith("scene.") for name in _names(result)):
-        what = "holds a fit of lights or meshes, whose values no configuration of the run states"
+        what = "holds a fit of lights or meshes, and no configuration in the folder has the fitted values"
         raise _mistake(path, f"{what}; expected a fit of the technique alone; {_COPY}")
     return (FITTED_FILE, "the fit") if is_fit else (CONFIG_FILE, "the run")
 

@@ -23,7 +23,7 @@ from ..sections._section import Variants, value_at
 from ..sections._technique import FILTERS, TECHNIQUES
 
 COLON = ":"
-"""What parts a module from a name in it."""
+"""What separates a module from a name in it."""
 
 
 class _Kind(NamedTuple):
@@ -51,12 +51,12 @@ def add_plugins(data: Mapping[str, Any], origin: Origin, folder: Path, *, needed
 
     **Arguments:**
 
-    - `folder`: of the configuration. Modules are imported from there, from the current folder and from wherever Python
-        finds them.
-    - `needed`: whether their modules are. The settings of a finished run can be read without: then its keys and values
-        stand in for the fields of a class whose module is not found.
+    - `folder`: folder of the configuration. Modules are imported from there, from the current folder and from wherever
+        Python finds them.
+    - `needed`: whether their modules are. The settings of a finished run can be read without the modules: the stored
+        keys and values then replace the fields of a class whose module is not found.
 
-    **Returns** a mistake for each that cannot be used.
+    **Returns** a mistake for each class that cannot be used.
     """
     mistakes = []
     for path in _KINDS:

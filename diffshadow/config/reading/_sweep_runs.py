@@ -49,7 +49,7 @@ class SweepRun(NamedTuple):
     """One run of a sweep.
 
     - `id`: 16 hexadecimal digits, a hash of everything that the run's results depend on, including the content of mesh
-        files. The order of the runs, names and folders have no effect on it.
+        files. The order of the runs, names and folders have no effect on the identifier.
     - `values`: the run's value on each axis.
     - `config`: its configuration, without the sweep.
     - `frames`: the configurations along the path of `sweep.flicker`; empty without that section.
@@ -207,7 +207,7 @@ class SweepRuns(Sequence[SweepRun]):
 class Sweep(NamedTuple):
     """A sweep and its runs.
 
-    - `source`, `overrides`: the file and overrides that it was loaded from.
+    - `source`, `overrides`: the file and overrides that the sweep was loaded from.
     """
 
     settings: SweepConfig

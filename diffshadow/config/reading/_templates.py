@@ -35,7 +35,7 @@ def template_names() -> list[str]:
 
 
 def template_path(name: str, given: str) -> Path:
-    """The file of the template `name`; `given` names it in errors.
+    """The file of the template `name`; `given` is the template's name in errors.
 
     **Raises** `ConfigError` if there is none.
     """
@@ -60,7 +60,7 @@ def template_text(name: str, *, source: str, file: str, scene: dict[str, Any] | 
     **Arguments:**
 
     - `source`: names the template in errors.
-    - `scene`: a section that replaces the template's, whose longest `side` is in world units.
+    - `scene`: a section that replaces the template's `scene`; the scene's longest `side` is in world units.
 
     **Raises** `ConfigError` if there is no such template, or it lists its meshes outside of its section `scene`.
     """

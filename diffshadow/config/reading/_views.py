@@ -32,8 +32,8 @@ def views_of(config: Config, draft: Draft, check: Callable[[Draft], Config]) -> 
     - `draft`: the draft of `config`.
     - `check`: makes a configuration of a draft.
 
-    **Raises** `ConfigError` with everything that is wrong with any of them, if there are too many, or if a view is
-    among both.
+    **Raises** `ConfigError` with everything that is wrong with any of the views, if there are too many, or if a view is
+    in both groups.
     """
     fit, places = dict(draft.data.get("fit") or {}), draft.origin.places
     for kind in KINDS:

@@ -52,7 +52,7 @@ _WORDS = {
 class Document(NamedTuple):
     """Plain data (dicts, lists, str, int, float, bool, `None`), the places of keys and list entries, and mistakes.
 
-    An invalid value is `None` in `data`. A key that is given twice has its first value.
+    An invalid value is `None` in `data`. If a key is given twice, the first value counts.
     """
 
     data: Any
@@ -67,7 +67,7 @@ def read_yaml(text: str, locate: Callable[[int, int], Location]) -> Document:
 
     - `locate`: makes a place from a line and a column, each counted from 1.
 
-    **Returns:** the document. Its mistakes include keys that are given twice, are not text or have a tag.
+    **Returns:** the document. Mistakes include keys that are given twice, are not text or have a tag.
 
     **Raises** `ConfigError` on a syntax error.
     """

@@ -67,7 +67,7 @@ class PathConfig(Section):
 
 
 class SunConfig(Section):
-    """The sun over a day, by its declination and hour angle; +x is east and +z south."""
+    """The sun's directions over a day, from its declination and hour angle; +x is east and +z is south."""
 
     count: Annotated[int, Unit("points"), Limits(1, 65536), "number of hours, evenly spaced"]
     latitude: Annotated[Degrees, Limits(-90, 90), "latitude, north positive, in degrees"] = 45.0
@@ -80,7 +80,7 @@ class SunConfig(Section):
 
 class AxesConfig(Section):
     """Every combination of an entry of `list`, a value of each key of `grid`, a file of each key of `files`, a row of
-    `zip`, a point of `path`, an hour of `sun` and a point of `qmc`. They are nested in this order."""
+    `zip`, a point of `path`, an hour of `sun` and a point of `qmc`. The axes are nested in this order."""
 
     # Where such a section stands.
     at: ClassVar[str] = "sweep"
@@ -105,7 +105,7 @@ class AxesConfig(Section):
         return tuple(dict.fromkeys([*labels, *(key for _, key in self.assigned())]))
 
     def assigned(self) -> Iterator[tuple[KeyPath, str]]:
-        """Every key that is set, in the order in which they are set, after its path in the section."""
+        """Every key that is set, with its path in the section, in the order in which keys are set."""
         for i, entry in enumerate(self.list or ()):
             yield from ((("list", i, key), key) for key in entry if key != LABEL)
         through, ranges = self.path and self.path.through, self.qmc and self.qmc.axes

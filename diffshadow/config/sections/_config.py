@@ -74,8 +74,8 @@ def _folder(output: str) -> str:
 class FitView(NamedTuple):
     """A scene that is fitted, or that validates a fit.
 
-    - `name`: its name, which no other has.
-    - `config`: of a run of its own.
+    - `name`: its unique name.
+    - `config`: the configuration of a run of its own.
     """
 
     name: str
@@ -85,7 +85,7 @@ class FitView(NamedTuple):
 class Reach(NamedTuple):
     """How far from a receiver the filter reads, in `texels`, with the normal offset.
 
-    - `path`: of the key that contributes most; `is_of_fit`: whether that is a bound of a fitted number.
+    - `path`: path of the key that contributes most; `is_of_fit`: whether that is a bound of a fitted number.
     """
 
     texels: float
@@ -128,8 +128,8 @@ class Config(Section):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the program chose for parts of the scene that the configuration leaves out, each a sentence without a
-        full stop."""
+        """What the program chose for parts of the scene that the configuration leaves out: a sentence without a full
+        stop for each part."""
         return self._origin.notes
 
     @property
@@ -192,12 +192,12 @@ class Config(Section):
         return Reach(reach, ("filter", *keys[:1]), False)
 
     def laid_out(self, bounds: Mapping[str, FitParameterConfig]) -> TechniqueConfig:
-        """`technique` with the size of its layout, if not given: large enough for all fitted numbers within
+        """`technique` with a size of its layout, if none is given, that is large enough for all fitted numbers within
         `bounds`."""
         return self.technique.laid_out(self, bounds)
 
     def named_with(self, suffix: str) -> Self:
-        """The configuration with `suffix` behind its name. The name is cut if both are too long for a folder."""
+        """The configuration with `suffix` appended to its name. The name is cut if both are too long for a folder."""
         name = self.name.encode()[: _LONGEST_NAME - len(suffix.encode())].decode(errors="ignore")
         return self.model_copy(update={"name": f"{name}{suffix}"})
 

@@ -96,7 +96,7 @@ _Files = Annotated[tuple[str, ...], InputFile(), Form("a list of files", "[first
 
 
 class ShapeConfig(Section, fit.Shape):
-    """A fit of all vertices of a mesh to its shadows on screens, one behind it for each light.
+    """A fit of all vertices of a mesh to its shadows on screens. For each light there is one screen, behind the mesh.
 
     Lights count as points, whatever their size. The shadows are images, or are traced from meshes: from the target of
     each light, or from the casters of the scene.

@@ -48,11 +48,11 @@ def key_of(name: str) -> tuple[str, str, int | None]:
 class Fittable(NamedTuple):
     """A number that can be fitted.
 
-    - `path`: its dotted path in the technique that the configuration builds; for one of the scene or its shading, in a
-        `fit.Arrangement`.
+    - `path`: its dotted path in the technique that the configuration builds; for a number of the scene or its shading,
+        its path in a `fit.Arrangement`.
     - `setting`: the limits of its bounds, equal to those of the keys that set such numbers, and what it means.
     - `unit`: empty for colours and factors.
-    - `value`: of a number of the technique; none if it is not set.
+    - `value`: value of a number of the technique; none if it is not set.
     - `is_searched`: whether it is found by a search, rather than by gradient.
     - `vertex`: the indices of mesh and vertex, if the number is a coordinate of a vertex.
     """
@@ -66,7 +66,7 @@ class Fittable(NamedTuple):
 
     @property
     def axis(self) -> int | None:
-        """The axis that it is a coordinate along; none for an angle, a size or a colour."""
+        """The axis of a number that is a coordinate; none for an angle, a size or a colour."""
         last = self.path.rpartition(".")[2]
         return AXES.index(last) if self.unit == _VERTEX.unit and last in AXES else None
 
@@ -91,7 +91,7 @@ def of_technique(config: "Config") -> dict[str, Fittable]:
 
 
 def fittable_of(config: "Config", name: str) -> Fittable | None:
-    """The number that is called `name`; none if it cannot be fitted."""
+    """The number called `name`; none if it cannot be fitted."""
     if not is_pose(name):
         return of_technique(config).get(name)
     match name.split("."):
@@ -112,7 +112,7 @@ def fit_paths(config: "Config") -> dict[str, str]:
 
 
 def fit_units(config: "Config") -> dict[str, str]:
-    """The unit of every number of the technique that can be fitted, and of every number of the scene that is."""
+    """The unit of every number of the technique that can be fitted, and of every number of the scene that is fitted."""
     found = {name: fittable_of(config, name) for name in config.fit.parameters if is_pose(name)}
     return {name: number.unit for name, number in (of_technique(config) | found).items() if number is not None}
 
@@ -139,9 +139,9 @@ def _fitted_keys(section: type[Section]) -> dict[str, Fitted]:
 
 
 def is_limit(config: "Config", name: str, bound: float) -> bool:
-    """Whether the number `name` cannot lie beyond `bound`, or has no sense there.
+    """Whether the number `name` cannot lie beyond `bound`, or makes no sense there.
 
-    That is a limit of its key, or 0 of a number of the technique: no bias, no radius.
+    Such a bound is a limit of its key, or 0 for a number of the technique: no bias, no radius.
     """
     number = fittable_of(config, name)
     limits = Limits() if number is None else number.setting.limits
@@ -152,8 +152,8 @@ _VERTEX = Setting.of(Coordinate)
 
 
 def poses(config: "Config") -> dict[str, Fittable]:
-    """The numbers of the scene, and to a picture of its shading, that can be fitted, by name. Vertices are left out:
-    there are too many."""
+    """The numbers of the scene that can be fitted, by name; for a fit to a picture, also the numbers of its shading.
+    Vertices are left out: there are too many."""
     scene, shading, found = config.scene, config.shading, {}
 
     def add(name: str, path: str, settings: Mapping[str, Setting]) -> None:
@@ -210,13 +210,13 @@ def _with_zeros(name: str) -> str:
 
 
 def could_be_fitted(name: str) -> bool:
-    """Whether some configuration, other than by users' classes, can fit a number `name`."""
+    """Whether some configuration without users' classes can fit a number `name`."""
     return (_with_zeros(name) if is_pose(name) else ".".join(key_of(name)[:2])) in _names()[0]
 
 
 def misnamed(config: "Config", names: Iterable[str]) -> Iterator[Conflict]:
-    """Faults of those `names` in `fit.parameters` that exist neither in `config`, whose values need not be valid, nor
-    in other configurations."""
+    """Faults for `names` in `fit.parameters` that do not exist in `config`, nor in any other configuration. Values of
+    `config` need not be valid."""
     for name in names:
         holder, key, _ = key_of(name)
         section = _holders(config).get(holder)

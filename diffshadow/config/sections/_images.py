@@ -28,7 +28,8 @@ class AttenuationConfig(Section, shading.Attenuation):
 
 
 class LitConfig(Section, shading.Lit):
-    """Ambient, diffuse and specular light. `moving` are its numbers that can be fitted to a picture, by key."""
+    """Ambient, diffuse and specular light. `moving`: the numbers of the section that can be fitted to a picture, by
+    key."""
 
     attenuation: AttenuationConfig = Field(
         default_factory=AttenuationConfig, description="attenuation with the distance to a light"
@@ -104,7 +105,7 @@ class TracedReferenceConfig(Section, reference.TracedReference):
 
 
 class PictureReferenceConfig(Section, reference.PictureReference):
-    """A picture of the shaded scene, to which a fit brings camera, lights, meshes and colours."""
+    """A picture of the shaded scene. A fit finds the camera, lights, meshes and colours that reproduce it."""
 
     moving: ClassVar[Mapping[str, Setting]] = {"exposure": reference.PictureReference.each()["exposure"]}
 

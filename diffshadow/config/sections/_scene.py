@@ -59,14 +59,15 @@ class LightOrbit(Section):
 
 
 class ShadowCamera(Section, scene.ShadowCamera):
-    """The camera that a directional light's map is drawn with, by the names and defaults of three.js: a parallel one at
-    `position`, which looks along the light with +y up."""
+    """The camera that a directional light's map is drawn with, by the names and defaults of three.js: a parallel camera
+    at `position` that looks along the light, with +y up."""
 
     position: Annotated[Position, "where near, far and the window are measured from, in world units"]
 
 
 class AnyLightConfig(Section, scene.Light):
-    """A light. `moving` are its numbers that can be fitted, by key; each has its path in the light's pose."""
+    """A light. `moving`: the numbers of the section that can be fitted, by key, each with its path in the light's
+    pose."""
 
     moving: ClassVar[Mapping[str, Setting]] = {}
 
@@ -252,8 +253,8 @@ class MeshConfig(Section):
     )
     alpha_cutoff: Annotated[
         Annotated[float, Limits(0, 1)] | None,
-        "alpha, of the texture times that of a file's vertices, below which the mesh is cut out, 0 for none of it; "
-        "default: as the mesh file says",
+        "the mesh is cut out where its alpha (the texture's times the vertices') is below this value; 0 cuts nothing "
+        "out; default: as the mesh file says",
     ] = None
     texture_wrap: Annotated[
         Annotated[scene.Wraps, Form(_WRAPS)] | None,
@@ -365,13 +366,13 @@ class SceneConfig(Section):
     ]
     camera: CameraConfig = Field(
         default_factory=CAMERAS.make,
-        description="camera of the image; without eye and orbit, or as auto, it frames the casters and their shadows",
+        description="camera of the image; as auto, or without eye and orbit, it frames the casters and their shadows",
     )
     light: Annotated[LightConfig | None, "light that casts the shadows; auto: a sun, or a lamp inside a room"] = None
     lights: Annotated[
         Annotated[tuple[LightConfig, ...], Form("a list of lights")] | None, "several lights instead of one"
     ] = None
-    ground: Annotated[Literal["auto"] | None, "auto: adds a plane under meshes that stand on nothing"] = None
+    ground: Annotated[Literal["auto"] | None, "auto: adds a plane under meshes that have no ground"] = None
     exclusive = (("light", "lights"),)
 
     @property
@@ -406,6 +407,6 @@ class SceneConfig(Section):
         """Faults of alpha tests where the outlines of casters matter."""
         for i, mesh in enumerate(self.meshes):
             if mesh.alpha_cutoff:
-                message = f"is {mesh.alpha_cutoff:g} {why}, whose outlines are those of whole faces"
+                message = f"is {mesh.alpha_cutoff:g} {why}, whose outlines follow whole faces"
                 what = fault(message, "meshes without an alpha test", f"remove it, or {mend}")
                 yield ("scene", "meshes", i, "alpha_cutoff"), what

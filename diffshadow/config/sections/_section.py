@@ -57,8 +57,8 @@ class Section(BaseModel, Settings):
 
     - `ascending`, and `exclusive`: a key, and others that cannot be given together with it. Both are checked together
         with single keys.
-    - `faults`: between its keys, once each is valid.
-    - `faults_of_run`, `faults_of_fit`: between its keys and other sections, once all sections are valid.
+    - `faults`: faults between its keys, once each key is valid.
+    - `faults_of_run`, `faults_of_fit`: faults between its keys and other sections, once all sections are valid.
     """
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
@@ -66,7 +66,7 @@ class Section(BaseModel, Settings):
 
     @classmethod
     def completed(cls, data: Mapping[str, Any]) -> Mapping[str, Any]:
-        """`data`, whose values may have any type, with the defaults that depend on other keys."""
+        """`data` with the defaults that depend on other keys. Values may have any type."""
         return data
 
     @classmethod
@@ -79,7 +79,7 @@ class Section(BaseModel, Settings):
         yield from ()
 
     def faults_of_run(self, config: "Config", at: KeyPath) -> Iterator[Conflict]:
-        """Faults between this section, which stands at the path `at`, and others of `config`. Paths are whole."""
+        """Faults between this section, at the path `at`, and other sections of `config`. Paths are whole."""
         yield from ()
 
     def faults_of_fit(self, config: "Config", at: KeyPath) -> Iterator[Conflict]:
@@ -87,12 +87,12 @@ class Section(BaseModel, Settings):
         yield from ()
 
     def sections(self, at: KeyPath = ()) -> Iterator[tuple[KeyPath, "Section"]]:
-        """This section, which stands at the path `at`, and all within it, each with its path."""
+        """This section, at the path `at`, and all sections within it, each with its path."""
         yield at, self
         yield from _sections_in(vars(self).items(), at)
 
     def with_value(self, path: Sequence[str | int], value: Any) -> Self:
-        """This section with another `value` at a path, which is not checked."""
+        """This section with another `value` at a path. The value is not checked."""
         key = str(path[0])
         return changed(self, **{key: _with_value(getattr(self, key), path[1:], value)})
 
@@ -168,7 +168,7 @@ def _with_value(holder: Any, path: Sequence[str | int], value: Any) -> Any:
 
 
 def frozen(value: Any) -> Hashable:
-    """What tells sections, and lists and mappings of them, from others: a key of caches."""
+    """A key for caches that is different for different sections, and for lists and mappings of sections."""
     if isinstance(value, Section):
         return type(value), *(frozen(getattr(value, key)) for key in type(value).model_fields)
     if isinstance(value, Mapping):
@@ -283,10 +283,11 @@ def _again(error: Any) -> InitErrorDetails:
 
 
 class Variants:
-    """The variants of a section, selected by the key `type`: one for each class of settings below `base` with a `type`.
+    """The variants of a section, selected by the key `type`: one for each subclass of `base` that has a `type`.
 
     A section that is written by hand adds rules between keys. The others are made here, in the namespace of `module`.
-    Sections of users' classes are added as configurations name them, and are no choices of others.
+    Sections of users' classes are added when a configuration names them, and are not offered as choices to other
+    configurations.
     """
 
     def __init__(self, base: type[Settings], default: str, module: str):
@@ -312,7 +313,8 @@ class Variants:
         return self.sections.get(word) or self.plugins.get(word)
 
     def of(self, data: Any) -> type[Section]:
-        """The variant that `data` names, and the default one if that does not exist, which is reported elsewhere."""
+        """The variant that `data` names, or the default variant if that does not exist (a fault that is reported
+        elsewhere)."""
         return self.named(str(value_at(data, "type", default=self.default))) or self.sections[self.default]
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
@@ -362,13 +364,13 @@ def _made(settings: type[Settings], module: str) -> type[Section]:
 
 
 def changed[S](section: S, **values: Any) -> S:
-    """`section` with other `values`, which are not checked."""
+    """`section` with other `values`. They are not checked."""
     assert isinstance(section, Section)
     return section.model_copy(update=values)
 
 
 def settings_of(section: type[Section]) -> type[Settings]:
-    """The settings that a section of several variants has."""
+    """The settings of a section with several variants."""
     return next(each for each in section.__mro__ if "type" in vars(each) and not issubclass(each, Section))
 
 
@@ -378,7 +380,7 @@ def type_of(section: type[Section]) -> str:
 
 
 def unchecked(section: type[Section], data: Any) -> Any:
-    """A section of `data` whose values may have any type. What is no mapping counts as empty."""
+    """A section of `data` whose values may have any type. Anything that is not a mapping counts as empty."""
     given = section.completed(data if isinstance(data, Mapping) else {})
     slots = {key: (field, *marked(field)) for key, field in section.model_fields.items()}
     values = {

@@ -49,8 +49,8 @@ class AnyTechniqueConfig(Section, techniques.Technique):
     is_selective: ClassVar[bool] = False
 
     def laid_out(self, config: "Config", bounds: Bounds) -> Self:
-        """The technique with what its layout is drawn for, where that is not given: as much as fitted numbers within
-        `bounds` need."""
+        """The technique with values for what its layout reserves, where none are given: as much as fitted numbers
+        within `bounds` need."""
         return self
 
     def max_share(self, bounds: Bounds) -> float | None:
@@ -58,7 +58,7 @@ class AnyTechniqueConfig(Section, techniques.Technique):
 
         **Arguments:**
 
-        - `bounds`: by name, of fitted numbers, which may have any value within them.
+        - `bounds`: the bounds of fitted numbers, by name. The numbers may have any value within their bounds.
         """
         return None
 
@@ -107,7 +107,7 @@ class FittedLayoutConfig(MappedConfig, techniques.FittedLayout):
 
 
 class OneMapConfig(FittedLayoutConfig):
-    """A layout of one map, which lacks what other maps may have."""
+    """A layout of one map, which lacks some features of other maps."""
 
     lacks: ClassVar[tuple[str, ...]] = ("silhouettes",)
 
@@ -271,7 +271,7 @@ class ProjectiveShadowConfig(AnyTechniqueConfig, techniques.ProjectiveShadow):
 
 
 class EngineConfig(AnyTechniqueConfig, engines.Engine):
-    """The shadows of an engine. `of_meshes` are its keys that may hold a list with an entry for each mesh."""
+    """The shadows of an engine. `of_meshes`: its keys that may have a list with an entry for each mesh."""
 
     is_selective = True
     of_meshes: ClassVar[tuple[str, ...]] = ()
@@ -384,7 +384,7 @@ PlaneConfig = Annotated[biases.Plane, PLANES]
 
 
 class TermsConfig(Section, biases.Terms):
-    """The weights of a bias that is linear in what a shader knows of a receiver; a sum below 0 counts as 0."""
+    """The weights of a bias that is linear in what a shader knows about a receiver; a sum below 0 counts as 0."""
 
     @property
     def given(self) -> bool:
@@ -405,7 +405,7 @@ class LayerConfig(Section):
 
 
 class NetworkConfig(Section):
-    """A perceptron that corrects the terms. Its inputs are all features of the terms except `one`."""
+    """A perceptron that corrects the terms. The network's inputs are all features of the terms except `one`."""
 
     hidden: Annotated[tuple[LayerConfig, ...], Form("a list of layers"), "hidden layers, each with weight and bias"]
     last: Annotated[_Numbers, "weights of the last hidden layer's values, in texels"]
@@ -481,12 +481,13 @@ _PLANES = ({}, {"type": "none"}, {"type": "receiver_plane"})
 
 
 def with_bias(data: Mapping[str, Any], across: float = math.inf) -> Mapping[str, Any]:
-    """The data of a configuration with a constant and a slope bias, and a normal offset unless both are given. What is
-    no valid section is reported elsewhere.
+    """The data of a configuration with a constant and a slope bias, and a normal offset unless both are given. Invalid
+    sections are reported elsewhere.
 
-    A normal offset lets the filter read farther, so there is none by itself where a map's borders limit that.
+    A normal offset lets the filter read farther, so there is no default offset where a map's borders limit how far a
+    filter reads.
 
-    **Arguments:** `across`: how many texels a typical caster has across.
+    **Arguments:** `across`: how many texels a typical caster is wide.
     """
     bias, kernel = data.get("bias", {}), data.get("filter", {})
     if not isinstance(bias, Mapping) or not isinstance(kernel, Mapping):

@@ -33,7 +33,7 @@ class AbstractProblem(eqx.Module):
     @property
     @abc.abstractmethod
     def count(self) -> Float[Array, "*n"]:
-        """How many pixels of its image count, or of each of its images, such as the channels of a picture."""
+        """How many pixels count in its image, or in each of its images, such as the channels of a picture."""
 
     @property
     @abc.abstractmethod
@@ -51,7 +51,7 @@ class AbstractProblem(eqx.Module):
 
     @abc.abstractmethod
     def difference(self, subject: Any) -> Float[Array, "*n h w"]:
-        """The image, or each of its images, less the reference at the pixels that count, 0 elsewhere."""
+        """The image, or each of its images, minus the reference at the pixels that count, 0 elsewhere."""
 
     def difference_and_overflow(self, subject: Any) -> tuple[Float[Array, "*n h w"], Overflow | None]:
         """The difference, and a flag instead of an error: whether silhouettes are missing, so that the difference is
@@ -82,7 +82,7 @@ class AbstractProblem(eqx.Module):
 
 
 def any_overflow(found: Sequence[Overflow | None]) -> Overflow:
-    """Whether memory was short in any of several drawings; those that cannot overflow are none."""
+    """Whether memory was short in any of several drawings; drawings that cannot overflow are none."""
     known = [each for each in found if each is not None]
     xp = array_module(*known)
     return as_array(xp.any(xp.asarray(known, bool)))

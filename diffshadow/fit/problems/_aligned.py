@@ -21,10 +21,10 @@ class Receivers(eqx.Module):
     """The points of a screen, as the light sees them.
 
     - `depth`: (h, w), window depth; `active`: (h, w), whether it is compared with the map.
-    - `otherwise`: (h, w), visibility where it is not.
+    - `otherwise`: (h, w), visibility of pixels that are not compared.
     - `off`: (), how far pixels are from the texels of the same number, in texels.
 
-    Of several views, with a first axis.
+    Arrays of several views have a first axis for the views.
     """
 
     depth: DepthMap
@@ -34,11 +34,12 @@ class Receivers(eqx.Module):
 
     @classmethod
     def of(cls, clip: Float[Array, "h w 4"], mask: Mask, is_turned: Mask) -> "Receivers":
-        """Of the pixels of a screen.
+        """The receivers at the pixels of a screen.
 
         **Arguments:**
 
-        - `clip`: in the light's view; `mask`: where there is a surface; `is_turned`: whether it is turned to the light.
+        - `clip`: clip coordinates in the light's view; `mask`: where there is a surface; `is_turned`: whether it is
+            turned to the light.
         """
         height, width = mask.shape
         x, y, depth = (clip[..., axis] / clip[..., 3] * 0.5 + 0.5 for axis in range(3))

@@ -34,14 +34,14 @@ class ArrangedProblem(AbstractProblem):
     """A problem whose subject is an `Arrangement`: what moves is drawn again at every step.
 
     - `arrangement`: whose numbers are fitted.
-    - `scene`: meshes, camera and lights as they stand before the arrangement moves them.
-    - `weight`: (h, w), how much each pixel counts; 0 or 1, or between where it stands for several.
+    - `scene`: meshes, camera and lights before the arrangement moves them.
+    - `weight`: (h, w), how much each pixel counts: 0 or 1, or in between if the pixel is a mean over several.
     - `settings`: how maps are drawn. Only with silhouettes do derivatives see the shadow's outline move.
-    - `edges`: of the casters. `planned` finds them if the settings ask for silhouettes.
-    - `blur`: standard deviation, in pixels, of the Gaussian under which differences are compared; 0 for none. It should
-        cover a texel of the map as the camera sees it.
+    - `edges`: edges of the casters. `planned` finds them if the settings ask for silhouettes.
+    - `blur`: standard deviation, in pixels, of the Gaussian under which differences are compared; 0 for none. The blur
+        should cover a texel of the map, as seen by the camera.
     - `shift`: (2,), how far the maps' grids of texels are moved, as for `draw_shadow_map`; none to leave them in place.
-        Maps with a warp, with pages or with cascades of several sizes have no such grid, and are drawn without.
+        Maps with a warp, with pages or with cascades of several sizes have no such grid, and are not shifted.
     """
 
     arrangement: eqx.AbstractVar[Arrangement]
@@ -87,12 +87,12 @@ class ArrangedProblem(AbstractProblem):
 
     @abc.abstractmethod
     def with_memory_of(self, other: Any) -> "ArrangedProblem":
-        """With as much memory for silhouettes as `other`, a problem of the same kind."""
+        """The same problem with as much memory for silhouettes as `other`, a problem of the same kind."""
 
     @property
     def sharpest(self) -> "ArrangedProblem":
-        """With the blur, no wider than its own, under which differences locate lights and meshes best once these are
-        nearly in place.
+        """The same problem with the blur that locates lights and meshes best once these are nearly in place. It is no
+        wider than the problem's own blur.
 
         A narrower blur does not cancel the error that a texel makes in an outline; a wider one mixes outlines that move
         differently.
@@ -113,7 +113,8 @@ class ArrangedProblem(AbstractProblem):
     ) -> ShadowMap:
         """The map of `casters` under an arranged `light`.
 
-        **Arguments:** `camera` and `surface`: what a layout looks at; `crossings`, `raises` as for `draw_shadow_map`.
+        **Arguments:** `camera`, `surface`: the view that a layout fits maps to; `crossings`, `raises`: as for
+        `draw_shadow_map`.
         """
         light = technique.layout.light(light, camera, self.settings.resolution, surface)
         how: dict[str, Any] = {"edges": self.edges_of_casters(), "crossings": crossings, "raises": raises}
@@ -147,7 +148,7 @@ class ArrangedProblem(AbstractProblem):
 
 
 def with_silhouettes(settings: MapSettings) -> MapSettings:
-    """With silhouettes, unless the settings are against them."""
+    """The settings with silhouettes, unless they rule silhouettes out."""
     return dataclasses.replace(settings, silhouettes=settings.silhouettes is not False)
 
 
@@ -155,7 +156,7 @@ def with_silhouettes(settings: MapSettings) -> MapSettings:
 def weighted_difference(
     image: Float[Array, "*n h w"], reference: Float[Array, "*n h w"], weight: Float[Array, "h w"]
 ) -> Float[Array, "*n h w"]:
-    """The image less the reference, times the square root of each pixel's weight; 0 where that is 0."""
+    """The image minus the reference, times the square root of each pixel's weight; 0 where the weight is 0."""
     counts = weight > 0
     root = jnp.sqrt(jnp.where(counts, weight, 1))
     return jnp.where(counts, (image - reference) * root, 0)
@@ -167,8 +168,8 @@ def points_of(meshes: Sequence[Mesh]) -> Float[Array, "n 3"]:
 
 
 def points_for(scene: Scene, technique: ShadowMapping) -> int:
-    """How many shadow points there are within each pixel: the more, the wider a pixel is in texels of the map, but no
-    more than `MOST_SHADOW_POINTS` in all."""
+    """How many shadow points there are within each pixel: more if a pixel is wide in texels of the map, but at most
+    `MOST_SHADOW_POINTS` in all."""
     height, width = scene.camera.resolution
     texel = widest_texel(scene, technique.map.resolution)
     needed = 1 if texel >= _WIDE else _PER_ROW / texel
@@ -177,7 +178,8 @@ def points_for(scene: Scene, technique: ShadowMapping) -> int:
 
 
 def widest_texel(scene: Scene, resolution: Resolution) -> float:
-    """How many pixels wide a texel is at half of the scene's vertices, or more, under the light with the widest."""
+    """The width of a texel, in pixels, that half of the scene's vertices reach or exceed, under the light with the
+    widest texels."""
     points = points_of(scene.meshes)
     return max(float(_texel_in_pixels(light, scene.camera, points, resolution)) for light in scene.lights)
 

@@ -26,9 +26,10 @@ _STEP = 3
 
 
 def blurs_of(blurs: Sequence[float] | None, *sides: int) -> tuple[float, ...]:
-    """`blurs`, standard deviations in pixels, or some from the widest for images of these `sides` to `BLUR`.
+    """`blurs`, standard deviations in pixels; if left out, blurs from the widest for images of these `sides` down to
+    `BLUR`.
 
-    **Raises** `ValueError` unless they fall, and the first is no wider than that.
+    **Raises** `ValueError` unless the blurs fall and the first is no wider than the widest.
     """
     most = widest_blur(*sides)
     if blurs is None:

@@ -16,10 +16,10 @@ _VIEWS = "views"
 
 
 def devices_of(asked: int, *, moves: bool = False) -> int:
-    """How many devices a fit uses if `asked` for so many, 0 for all that all processes have together.
+    """How many devices a fit uses if `asked` is the number requested; 0 requests all devices of all processes.
 
-    **Raises** `ValueError` if there are fewer, for several that are not all where JAX has several processes, or for
-    more than one where lights or meshes move (`moves`).
+    **Raises** `ValueError` if there are fewer devices, if JAX has several processes and not all devices are used, or
+    for more than one device where lights or meshes move (`moves`).
     """
     there, processes = jax.device_count(), jax.process_count()
     if asked > there:
@@ -46,7 +46,8 @@ def spread[T](tree: T, devices: int) -> T:
 
 
 def on_host(tree: Any) -> Any:
-    """`tree` with its arrays in host memory. Arrays of several processes are gathered, so each of these calls this."""
+    """`tree` with its arrays in host memory. Arrays of several processes are gathered, so each process must call
+    this."""
 
     def copied(leaf: Any) -> Any:
         is_here = not isinstance(leaf, jax.Array) or leaf.is_fully_addressable or leaf.is_fully_replicated
@@ -56,7 +57,7 @@ def on_host(tree: Any) -> Any:
 
 
 def on_each_device(function: Callable[[Any, Any], Any], shared: Any, views: Any, devices: int) -> Any:
-    """What `function` of `shared` and of a device's part of `views` returns, along a first axis of views."""
+    """The results of `function` for `shared` and each device's part of `views`, along a first axis of views."""
     dynamic, static = eqx.partition(shared, eqx.is_array)
     own = lambda shared, views: function(eqx.combine(shared, static), views)
     # The loops in `function` do not say which of their values are the same on all devices.
@@ -69,11 +70,11 @@ def compressed(
 ) -> tuple[Float[Array, " r"], Float[Array, "r p"]]:
     """A residual vector and a Jacobian with few rows. They have the same normal equations as the images and slopes.
 
-    **Arguments:** `residuals`, `slopes`: of each stack, (n, h, w) and (p, n, h, w).
+    **Arguments:** `residuals`, `slopes`: each stack's residuals (n, h, w), and their derivatives (p, n, h, w).
 
-    Each device finds the triangular factor of its own part, so that none has the Jacobian of all views (Demmel et al.,
-    "Communication-optimal parallel and sequential QR and LU factorizations", SIAM Journal on Scientific Computing 34,
-    2012).
+    Each device finds the triangular factor of its own part, so that no device needs the Jacobian of all views (Demmel
+    et al., "Communication-optimal parallel and sequential QR and LU factorizations", SIAM Journal on Scientific
+    Computing 34, 2012).
     """
     found = []
     for images, stacks in zip(residuals, slopes, strict=True):

@@ -36,8 +36,9 @@ Images = tuple[Float[Array, "..."], ...]
 class Losses(NamedTuple):
     """The losses of a subject.
 
-    - `compared`: of the compared part of the differences, which a fit minimises; `whole`: of all of them.
-    - `errors`: (v,), the error of each problem, of all differences.
+    - `compared`: the error of the compared part of the differences, which a fit minimises; `whole`: the error of all
+        differences.
+    - `errors`: (v,), the error of each problem over all differences.
     - `overflow`: whether silhouettes are missing from a map, and the images wrong.
     """
 
@@ -48,8 +49,8 @@ class Losses(NamedTuple):
 
 
 class Together(NamedTuple):
-    """What one program finds of many images: their losses, and the losses of what is too dark and of what is too
-    light."""
+    """What one program computes for many images: their losses, and the losses of pixels that are too dark and of pixels
+    that are too light."""
 
     losses: Losses
     sides: tuple[Scalar, Scalar]
@@ -60,7 +61,7 @@ class Joint(eqx.Module):
 
     - `subject`: what is fitted.
     - `problems`: each an `AbstractProblem`, whose own subject is ignored, or a `Stack` of several.
-    - `loss`: of their errors; `own`: a user's in its place, if there is one.
+    - `loss`: the loss of their errors; `own`: a user's loss in its place, if there is one.
     - `devices`: how many devices evaluate its stacks.
     """
 
@@ -95,7 +96,7 @@ class Joint(eqx.Module):
     def differences(self, subject: Any) -> tuple[Images, Overflow]:
         """Difference images, each scaled so that its squares sum to its mean square error.
 
-        Where the signs of differences have factors in the loss, their squares are multiplied by these.
+        If the loss has factors for the signs of differences, the squares are multiplied by these factors.
 
         **Returns:** (n, h, w) for each stack, (1, h, w) for each other problem; and whether silhouettes are missing
         from a map, so that an image is wrong.
@@ -109,11 +110,11 @@ class Joint(eqx.Module):
         return tuple(each.compared(images) for each, images in zip(self.problems, differences, strict=True))
 
     def rows(self, subject: Any, *, compared: bool = True) -> tuple[list[Float[Array, "n m"]], Overflow]:
-        """The residuals that a user's loss makes of the images, or its values, (n, 1), for each stack and problem.
+        """The residuals of a user's loss, or its values (n, 1), for each stack and problem.
 
-        **Arguments:** `compared`: whether of the compared part of the images.
+        **Arguments:** `compared`: whether to use only the compared part of the images.
 
-        **Returns:** also whether silhouettes are missing from a map, so that an image is wrong.
+        **Returns:** the residuals, and whether silhouettes are missing from a map, so that an image is wrong.
         """
         found = [each.seen(subject) for each in self.problems]
         images = [seen for seen, _ in found]
@@ -128,7 +129,7 @@ class Joint(eqx.Module):
         return _shares([p.count for p in self.problems])
 
     def losses(self, subject: Any) -> Losses:
-        """The loss, and the errors that it is made of."""
+        """The loss, and the errors that it is computed from."""
         if self.own is not None:
             return self._losses_by(self.own, subject)
         differences, overflow = self.differences(subject)
@@ -145,7 +146,7 @@ class Joint(eqx.Module):
         return Losses(mean(of_compared), mean(errors), errors, overflow)
 
     def sides(self, subject: Any) -> tuple[Scalar, Scalar]:
-        """The losses of what is too dark alone, and of what is too light alone."""
+        """The loss of pixels that are too dark, and the loss of pixels that are too light."""
         return _sides_of(self.loss, _by_sign(self.differences(subject)[0]), self.shares)
 
     def mean_square_error(self, subject: Any) -> Scalar:
@@ -167,10 +168,10 @@ class Joint(eqx.Module):
         return sum(int(np.sum(problem.count)) for problem in self.problems)
 
     def sampled(self, count: int, worst: Collection[int] = (), samples: Samples | None = None) -> "Joint":
-        """With about `count` of the pixels of fits of a technique: as many of each, or three quarters of them of the
-        problems at the indices `worst`.
+        """The same problems with a sample of about `count` pixels in fits of a technique: as many from each problem, or
+        three quarters of them from the problems at the indices `worst`.
 
-        **Arguments:** `samples`: those taken so far, which are used again.
+        **Arguments:** `samples`: the samples taken so far, which are used again.
         """
         total, samples = len(self.problems), {} if samples is None else samples
         shares = np.full(total, 1 / total)
@@ -187,7 +188,8 @@ class Joint(eqx.Module):
         return dataclasses.replace(self, problems=tuple(taken))
 
     def corrected(self, errors: Errors, atlases: Atlases | None = None) -> "Joint":
-        """A sample whose errors at its subject, under the hard compare, are the `errors` (v,) of whole images there.
+        """A sample scaled so that its errors at its subject, under the hard compare, equal the `errors` (v,) of whole
+        images.
 
         A ratio estimate (Cochran, Sampling Techniques, chapter 6): the errors of a sample and of the whole image have
         nearly the same ratio close by.
@@ -202,17 +204,17 @@ class Joint(eqx.Module):
         return dataclasses.replace(self, problems=tuple(corrected))
 
     def stacked(self, atlases: Atlases | None = None) -> "Joint":
-        """With fits of a technique that are of one structure as stacks.
+        """The same problems, with fits of a technique stacked if they have the same structure.
 
-        **Arguments:** `atlases`: those made so far, which are used again.
+        **Arguments:** `atlases`: the atlases made so far, which are used again.
         """
         atlases = {} if atlases is None else atlases
         return dataclasses.replace(self, problems=stacked(self.problems, atlases, self.devices))
 
     def together(self, order: Sequence[int]) -> Together:
-        """The `losses` and `sides` of fits of a technique, which are stacked, by one program.
+        """The `losses` and `sides` of stacked fits of a technique, by one program.
 
-        **Arguments:** `order`: of the stacked problems, as `stacked_order` has it.
+        **Arguments:** `order`: the order of the stacked problems, from `stacked_order`.
         """
         found = on_host(_together(self))
         errors = np.empty(len(order), np.float32)
@@ -236,7 +238,7 @@ class Joint(eqx.Module):
         return dataclasses.replace(self, subject=eqx.tree_at(where, self.subject, compare))
 
     def hard(self) -> "Joint":
-        """With the hard compare, and the loss itself."""
+        """The same problems with the hard compare, and the loss itself."""
         compare = self.technique.compare
         hardened = self.with_compare(compare if isinstance(compare, HardCompare) else HardCompare())
         return hardened.with_loss(self.loss.exact())
@@ -251,7 +253,7 @@ class Joint(eqx.Module):
         return any(map(self.technique.lays_out, parameter_names(self.technique)))
 
     def laid_out(self, parameters: Parameters, values: Float[Array, " p"]) -> "Joint":
-        """With maps laid out as `values` (p,) say."""
+        """The same problems with maps laid out for `values` (p,)."""
         if not self.lays_out:
             return self
         subject = parameters.put(self.subject, values)

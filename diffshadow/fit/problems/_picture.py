@@ -34,12 +34,13 @@ class PictureProblem(ArrangedProblem):
     - `scene`: meshes, camera and lights before the arrangement moves them.
     - `reference`: (h, w, 3), the picture.
     - `weight`: (h, w), the weight of each pixel: 0 or 1, or in between if the pixel is a mean over several.
-    - `encoding`: of the reference. The drawn picture is encoded in the same way. As sRGB, it is clipped to 0 and 1.
+    - `encoding`: encoding of the reference. The drawn picture is encoded in the same way. As sRGB, it is clipped to 0
+        and 1.
     - `settings`: how maps are drawn. Only with silhouettes do derivatives see the shadow's outline move.
     - `surface`: the surface that the camera sees; `None` to draw it again at every step, which is needed if the camera
         or meshes move or meshes change their colour.
-    - `plan`: as for `draw_antialiased`; `crossings`: of each light's map, as for `draw_shadow_map`. `planned` finds
-        both.
+    - `plan`: as for `draw_antialiased`; `crossings`: one for each light's map, as for `draw_shadow_map`. `planned`
+        finds both.
     - `edges`, `blur`, `shift`, `shadow_points`: as for `PoseProblem`.
 
     !!! Example
@@ -87,10 +88,10 @@ class PictureProblem(ArrangedProblem):
         - `picture`: (h, w, 3), as large as the camera's image. Row 0 is the bottom row.
         - `shading`: the scene's shading; by default `Phong()`. Its `intensities` are fitted one by one.
         - `mask`: (h, w), the pixels that count; all if left out.
-        - `encoding`: of the picture; `exposure`: by how many stops the drawn picture is brightened.
+        - `encoding`: encoding of the picture; `exposure`: by how many stops the drawn picture is brightened.
         - `arrangement`: the start, with its own shading and exposure; by default all values of the scene.
         - `surface`: the surface that the camera sees, if neither the camera nor meshes move and no mesh changes its
-            colour. Left out, it is drawn again at every step.
+            colour. If left out, the surface is drawn again at every step.
         - `points`: `shadow_points`; chosen by the width of a texel if left out.
 
         **Raises** `ValueError` for a picture of another size, or that is not finite where it counts.
@@ -127,7 +128,7 @@ class PictureProblem(ArrangedProblem):
         return jnp.broadcast_to(jnp.sum(self.weight), 3)
 
     def difference(self, subject: Arrangement) -> Float[Array, "3 h w"]:
-        """Each channel of the picture less the reference's, times the square root of the pixel's weight."""
+        """Each channel of the picture minus the reference's channel, times the square root of the pixel's weight."""
         return weighted_difference(_channels(self.picture(subject)), _channels(self.reference), self.weight)
 
     def difference_and_overflow(self, subject: Arrangement) -> tuple[Float[Array, "3 h w"], Overflow | None]:
@@ -144,7 +145,7 @@ class PictureProblem(ArrangedProblem):
         return Seen.of(image, _channels(self.reference), mask), _overflow(maps, seen)
 
     def picture(self, arrangement: Arrangement) -> Float[Array, "h w 3"]:
-        """The picture of an arrangement, encoded as the reference.
+        """The picture of an arrangement, encoded like the reference.
 
         **Raises** a runtime error if there are more outlines or silhouettes than `planned` has memory for.
         """

@@ -31,14 +31,14 @@ class PoseProblem(ArrangedProblem):
     - `surface`: the surface that the camera sees; `None` to draw it again at every step, which is needed if visible
         meshes move.
     - `crossings`: as for `draw_shadow_map`; `planned` finds it.
-    - `edges`: of the casters. `planned` finds them if the settings ask for silhouettes.
+    - `edges`: edges of the casters. `planned` finds them if the settings ask for silhouettes.
     - `blur`: standard deviation, in pixels, of the Gaussian under which differences are compared; 0 for none. The blur
         should cover a texel of the map, as seen by the camera.
     - `shift`: (2,), a shift of the map's grid of texels, as for `draw_shadow_map`; `None` for no shift. Maps with a
         warp, with pages or with cascades of several sizes have no such grid, and are not shifted.
-    - `shadow_points`: visibility is the mean over so many points within each pixel. `of` chooses more points for wider
-        pixels, measured in texels of the map. If an outline is narrower than a pixel, most pixels along it have no
-        derivative at their centre.
+    - `shadow_points`: visibility is the mean over so many points within each pixel. The constructor `of` chooses more
+        points if pixels are wide in texels of the map. If an outline is narrower than a pixel, most pixels along it
+        have no derivative at their centre.
 
     !!! Example
 
@@ -82,8 +82,8 @@ class PoseProblem(ArrangedProblem):
             rays ignore the cone of a spot light.
         - `light`: which of the scene's lights.
         - `arrangement`: the start; by default `technique` with the lights and meshes of the scene.
-        - `surface`: the surface that the camera sees, if no visible mesh moves. Left out, it is drawn again at every
-            step.
+        - `surface`: the surface that the camera sees, if no visible mesh moves. If left out, the surface is drawn again
+            at every step.
         - `points`: `shadow_points`; chosen by the width of a texel if left out.
         """
         lit = scene.lit_by(light)
@@ -114,7 +114,7 @@ class PoseProblem(ArrangedProblem):
         return _mean_over(points, visibility, shadow_map.light)
 
     def difference(self, subject: Arrangement) -> Float[Array, "h w"]:
-        """Visibility less reference, times the square root of the pixel's weight."""
+        """Visibility minus reference, times the square root of the pixel's weight."""
         return self._difference(subject, *self.draw(subject))
 
     def difference_and_overflow(self, subject: Arrangement) -> tuple[Float[Array, "h w"], Overflow | None]:

@@ -87,7 +87,7 @@ class ShapeView(eqx.Module):
 class ShapeProblem(eqx.Module):
     """A mesh whose vertices are fitted, so that its shadows are like several images.
 
-    - `mesh`: the start: all casters, closed or open. Vertices at one place must be one vertex.
+    - `mesh`: the start: all casters, closed or open. Vertices at the same position must be merged into one.
     - `views`: its shadows.
     - `free`: (v,), whether each vertex moves; all if left out. Fixed vertices may be a pinned base, or other casters.
     - `symmetry`: (a, b, c, d), a plane a x + b y + c z = d. The shape remains symmetric across this plane. The start
@@ -95,8 +95,8 @@ class ShapeProblem(eqx.Module):
     - `technique`: how shadows are drawn. Its map has silhouettes, which give vertices their derivatives. By default, an
         image's pixel is the mean over one texel of a map of the first reference's size.
 
-    **Raises** `ValueError` if there is no view, if vertices share a place, if none is free, if the mesh is no mirror
-    image of itself, or for a technique with another layout than one map.
+    **Raises** `ValueError` if there is no view, if vertices have the same position, if no vertex is free, if the mesh
+    is not its own mirror image, or for a technique whose layout is not a single map.
     """
 
     mesh: Mesh
@@ -187,11 +187,11 @@ class Evaluation(NamedTuple):
     """The loss of a shape, and what a fit needs beside it.
 
     - `loss`: the mean over all views of their mean square differences under the blur.
-    - `gradient`: (v, 3), by the vertices; `by_lights`: for each group of views, by the poses of their lights, along a
-        first axis; none if no light moves.
+    - `gradient`: (v, 3), with respect to the vertices; `by_lights`: for each group of views, with respect to the poses
+        of their lights, along a first axis; none if no light moves.
     - `images`: for each group of views, (n, h, w), their visibilities.
-    - `crossings`: the most sides of texels that the silhouettes in a map cross. If there are more than there was memory
-        for, all of these are wrong.
+    - `crossings`: the most sides of texels that the silhouettes in a map cross. If there are more crossings than there
+        was memory for, all of these results are wrong.
     """
 
     loss: Scalar
@@ -217,11 +217,11 @@ def evaluate(
 
     **Arguments:**
 
-    - `groups`: views of one structure, with a leading axis. They are scanned, each with its own reverse pass, so that
-        one view's program is compiled for a group, and memory holds one view.
-    - `receivers`: of groups whose pixels are their maps' texels.
-    - `poses`: of their lights, with a leading axis too; none if all are where the views have them.
-    - `crossings`: for how many crossings of silhouettes with the sides of texels there is memory.
+    - `groups`: views of one structure, with a leading axis. The views are scanned, each with its own reverse pass, so
+        that only one view's program is compiled for a group, and memory is needed for one view only.
+    - `receivers`: the receivers of groups whose pixels are their maps' texels.
+    - `poses`: the poses of their lights, with a leading axis too; none if all lights are where the views have them.
+    - `crossings`: the number of crossings, of silhouettes with the sides of texels, for which there is memory.
     """
     count = sum(group.reference.shape[0] for group in groups)
 
@@ -258,7 +258,7 @@ def _mesh(vertices: Vertices, faces: Faces) -> Mesh:
 
 
 class Sight(NamedTuple):
-    """What a light sees of its screen; of several, with a first axis.
+    """The pixels of a view's screen that its light sees. Arrays have a first axis for several views.
 
     - `reached`: (h, w), pixels that count, lie in the light's map, and are turned to it.
     - `towards`: (h, w, 3), vectors to the light.
@@ -272,7 +272,7 @@ class Sight(NamedTuple):
 
 @eqx.filter_jit
 def sights(groups: list[ShapeView]) -> list[Sight]:
-    """Of each view, in each group along a first axis."""
+    """The sight of each view, in each group along a first axis."""
 
     def of_view(view: ShapeView) -> Sight:
         surface = view.surface
@@ -294,5 +294,5 @@ def casts_shadow(mesh: Mesh, view: ShapeView, sight: Sight) -> bool:
 
 
 def crossings_for(resolution: Resolution) -> int:
-    """Memory for the crossings of most shapes, whichever they are, so that all share a program."""
+    """Memory for the crossings of most shapes, so that all of them share a program."""
     return round_up_to_power_of_two(_CROSSINGS_PER_SIDE * sum(resolution))

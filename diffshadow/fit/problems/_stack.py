@@ -35,9 +35,11 @@ class Stack(eqx.Module):
     """Fits of a technique to several images, evaluated a few at a time by one program.
 
     - `problems`: one problem whose arrays have a leading axis for the images.
-    - `atlas`, `numbers`: where their maps are, (n,), if these can be in an atlas. The problems then hold no depths.
-    - `surfaces`, `sights`: where their surfaces are, (n,), if images share some. The problems then hold none.
-    - `devices`: how many devices have a part of the problems each. The atlas then has a leading axis for them.
+    - `atlas`, `numbers`: an atlas of their maps, and each map's number in it, (n,), if the maps can be in an atlas. The
+        problems then hold no depths.
+    - `surfaces`, `sights`: the number of each image's surface, (n,), if images share surfaces. The problems then hold
+        none.
+    - `devices`: on how many devices the problems are divided. The atlas then has a leading axis for the devices.
     """
 
     problems: TechniqueProblem
@@ -49,7 +51,7 @@ class Stack(eqx.Module):
 
     @classmethod
     def of(cls, problems: Sequence[TechniqueProblem], atlas: Atlas | None, numbers: Sequence[int]) -> "Stack":
-        """Of problems of one structure, whose maps have these `numbers` in the atlas."""
+        """Stacks problems of one structure, whose maps have these `numbers` in the atlas."""
         surfaces, sights = _distinct([problem.surface for problem in problems])
         if atlas is not None:
             problems = _without_depths(problems)
@@ -61,7 +63,7 @@ class Stack(eqx.Module):
 
     @classmethod
     def on(cls, devices: int, problems: Sequence[TechniqueProblem]) -> "Stack":
-        """Of problems of one structure, as many on each of the `devices`."""
+        """Stacks problems of one structure, with as many on each of the `devices`."""
         each = len(problems) // devices
         parts = [problems[start : start + each] for start in range(0, len(problems), each)]
         maps: Any = [_distinct([p.shadow_map for p in part]) for part in parts]
@@ -121,17 +123,18 @@ class Stack(eqx.Module):
 
     @property
     def count(self) -> Float[Array, " n"]:
-        """How many pixels count in each."""
+        """How many pixels count in each image."""
         return jax.vmap(lambda problem: problem.count)(self.problems)
 
 
 def stacked(problems: Sequence[AbstractProblem], atlases: Atlases, devices: int) -> tuple[AbstractProblem | Stack, ...]:
-    """Fits of a technique that are of one structure as a `Stack`; all other problems as they are.
+    """Stacks fits of a technique that have the same structure; all other problems stay as they are.
 
     **Arguments:**
 
-    - `atlases`: those made so far, which are used again.
-    - `devices`: how many devices evaluate a part of each stack. What is left over is a stack that all evaluate.
+    - `atlases`: the atlases made so far, which are used again.
+    - `devices`: how many devices evaluate a part of each stack. The remaining problems form a stack that all devices
+        evaluate.
     """
     alone = tuple(problem for problem in problems if not isinstance(problem, TechniqueProblem))
     own = [problem for problem in problems if isinstance(problem, TechniqueProblem)]
@@ -146,7 +149,7 @@ def stacked_order(problems: Sequence[AbstractProblem]) -> list[int]:
 
 
 def copied_bytes(problems: Sequence[TechniqueProblem]) -> int:
-    """The bytes that stacks of the problems copy: images, surfaces once each, and maps that cannot be in an atlas."""
+    """The bytes that stacks of the problems copy: images, each surface once, and maps that cannot be in an atlas."""
     surfaces, _ = _distinct([problem.surface for problem in problems])
     images = [(problem.reference, problem.mask) for problem in problems]
     maps = [problem.shadow_map for problem in problems if not _is_plain(problem.shadow_map)]

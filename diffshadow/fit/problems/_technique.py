@@ -31,9 +31,9 @@ class TechniqueProblem(AbstractProblem):
         only if a number of its layout is fitted.
     - `reference`: (h, w), visibility in [0, 1].
     - `mask`: (h, w), the pixels that count.
-    - `scene`: with one light; needed only if a number of the map's layout is fitted.
+    - `scene`: a scene with one light; needed only if a number of the map's layout is fitted.
     - `weight`: how many pixels each pixel represents, one number or (h, w); more than 1 in a sample of the pixels.
-    - `factor`: of all squared differences; in a sample, it corrects their sum.
+    - `factor`: a factor of all squared differences; in a sample, it corrects their sum.
 
     !!! Example
 
@@ -75,7 +75,7 @@ class TechniqueProblem(AbstractProblem):
         return cls(technique, shadow_map, surface, as_float(truth.visibility), mask, scene)
 
     def residual(self, technique: FittableTechnique) -> Float[Array, "h w"]:
-        """Visibility less reference at the pixels that count, 0 elsewhere.
+        """Visibility minus reference at the pixels that count, 0 elsewhere.
 
         Scaled so that the sum of its squares is the mean square error.
         """
@@ -86,7 +86,7 @@ class TechniqueProblem(AbstractProblem):
         return jnp.sum(self.residual(technique) ** 2)
 
     def difference(self, subject: FittableTechnique) -> Float[Array, "h w"]:
-        """Visibility less reference at the pixels that count, 0 elsewhere, times the square root of weight and
+        """Visibility minus reference at the pixels that count, 0 elsewhere, times the square root of weight and
         factor."""
         visibility = subject.visibility(self.shadow_map, self.surface)
         return _weighted(visibility, self.reference, self.mask, self.weight, self.factor)
@@ -129,9 +129,9 @@ class TechniqueProblem(AbstractProblem):
         `_TILE` x `_TILE`.
 
         A pixel keeps its place in the tile, and so its taps, unless the filter's pattern is rotated at each pixel or
-        its tile does not divide these. The pixels of each place are drawn at random, one from each of as many runs of
-        equal length in the image's order. Each pixel represents its run, so the expected mean square error equals the
-        error of the whole image. If fewer pixels count, all of them are kept.
+        its tile does not divide these. For each place, the pixels in the image's order are divided into runs of equal
+        length, and one pixel is drawn at random from each run. Each pixel represents its run, so the expected mean
+        square error equals the error of the whole image. If fewer pixels count, all of them are kept.
         """
         runs, places = _runs(count / _TILE**2), _TILE**2
         counting = np.flatnonzero(np.asarray(self.mask))

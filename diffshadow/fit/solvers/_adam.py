@@ -51,7 +51,7 @@ class _Descent(optx.AbstractDescent):
 class Adam(optx.AbstractGradientDescent):
     """A first-order minimiser for optimistix.
 
-    - `rtol`, `atol`, `norm`: of its termination, as of all of optimistix's.
+    - `rtol`, `atol`, `norm`: the tolerances and the norm of its termination, as for all solvers of optimistix.
     """
 
     rtol: float

@@ -83,7 +83,7 @@ def _gain(jacobian: Float[Array, "n p"], residual: Float[Array, " n"]) -> Float[
 
 
 class LevenbergMarquardt(optx.AbstractGaussNewton):
-    """optimistix's, with Nielsen's damping. It also ends where the step after a rejected one would be short.
+    """optimistix's, with Nielsen's damping. It also ends if the step after a rejected step would be short.
 
     That is MINPACK's `xtol`. optimistix ends only after a step that was accepted, and there may be none where the
     minimum lies at a jump of the loss, such as where a pixel changes from lit to shadowed. With `noise`, as a

@@ -17,7 +17,7 @@ _MIN_SINGULAR = 1e-6
 def optimistix_solver(
     solver: Solver, report: Callable[..., None], stop: Stop
 ) -> optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser:
-    """The solver of optimistix, which calls `report` at every step unless it is a user's."""
+    """The solver of optimistix. It calls `report` at every step, unless it is a user's solver."""
     if solver.method is not None:
         return solver.method
     tolerances = {"rtol": solver.rtol, "atol": solver.atol, "verbose": report}

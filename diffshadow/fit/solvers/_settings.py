@@ -25,17 +25,18 @@ class Solver(CheckedModule):
     """Which optimistix solver runs, and when a phase ends.
 
     - `name`: `"levenberg_marquardt"`, `"dogleg"`, `"bfgs"`, `"lbfgs"` or `"adam"`.
-    - `max_steps`: of each phase.
+    - `max_steps`: most steps of each phase.
     - `rtol`, `atol`: a phase ends when both parameters and loss change by less than these tolerances.
         Levenberg-Marquardt also ends after a step that did not help, if the next step would change all parameters by
         less.
     - `learning_rate`: the length of Adam's first steps, if the distance between the bounds is pi.
-    - `noise`: fraction of the loss by which it jumps as parameters change a little. Levenberg-Marquardt accepts steps
-        that raise the loss by less. If the ends of phases differ by less, the last phase is the result. By default it
-        is 0 for a technique, and 0.25 if lights or meshes move, since pixels then jump from lit to shadowed and back.
+    - `noise`: by which fraction the loss jumps if parameters change a little. Levenberg-Marquardt accepts steps that
+        raise the loss by less than the noise. If the losses at the ends of phases differ by less than the noise, the
+        last phase is the result. By default it is 0 for a technique, and 0.25 if lights or meshes move, since pixels
+        then jump from lit to shadowed and back.
     - `method`: any least-squares solver or minimiser of optimistix, instead of the solver called `name`. Such a method
-        has its own tolerances. Of the other fields, only `max_steps` and `noise` apply to it, and `noise` only to the
-        choice between phases.
+        has its own tolerances. Only the fields `max_steps` and `noise` apply to it, and `noise` only affects the choice
+        between phases.
 
     !!! Example
 
@@ -91,7 +92,7 @@ class Solver(CheckedModule):
 
 
 class Stop(NamedTuple):
-    """Where Levenberg-Marquardt ends, besides its tolerances. Other solvers do not use it.
+    """When Levenberg-Marquardt ends, in addition to its tolerances. Other solvers do not use it.
 
     - `shortest`: the length of a step, in free values, at which it ends after a step that did not help.
     - `least_gain`: it ends where the sum of squares would fall by less than this fraction if residuals were linear.

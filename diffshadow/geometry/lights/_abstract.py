@@ -56,7 +56,7 @@ class AbstractLight(CheckedModule):
         return LightPose()
 
     def at(self, pose: LightPose) -> "AbstractLight":
-        """The same light in another `pose`. The frustum of its shadow map does not move: see `refitted`."""
+        """The same light in another `pose`. The frustum of its shadow map does not move; see `refitted`."""
         return self
 
     def refitted(self, points: Float[Array, "n 3"]) -> "AbstractLight":

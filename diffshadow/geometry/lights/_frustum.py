@@ -76,7 +76,7 @@ class LightFrustum(NamedTuple):
         direction: Vec3 | None = None,
         aspect: Scalar | float = 1.0,
     ) -> "LightFrustum":
-        """As `around`, also under a trace, and along `direction` if given. Points beside or behind the light stay
+        """Like `around`, but also under a trace, and along `direction` if given. Points beside or behind the light stay
         outside the frustum."""
         if direction is None:
             direction = _centre(points) - position
@@ -125,7 +125,7 @@ def _reach(distance: Float[Array, " n"]) -> tuple[Scalar, Scalar]:
 
 
 def near_far(low: Scalar, high: Scalar) -> tuple[Scalar, Scalar]:
-    """Near and far for points at distances `low` to `high`; `low` is 0 if the light is among them."""
+    """Near and far for points at distances `low` to `high`; `low` is 0 if the light is among the points."""
     pad = jnp.maximum(MARGIN * (high - low), FLAT / 2 * high)
     clear = _CLEAR * high
     near = jnp.maximum(low - pad, jnp.where(_is_clear(low, high), jnp.minimum(clear, (1 - MARGIN) * low), clear))

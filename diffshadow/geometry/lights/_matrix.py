@@ -45,7 +45,7 @@ class MatrixLight(AbstractLight):
         left_handed: bool = False,
         depth: tuple[float, float] = (-1.0, 1.0),
     ) -> "MatrixLight":
-        """The light of an engine's matrices by other conventions than OpenGL's.
+        """The light of an engine's matrices, whose conventions differ from OpenGL's.
 
         **Arguments:**
 

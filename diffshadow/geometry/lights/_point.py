@@ -33,15 +33,15 @@ _FACES = np.stack([np.cross(_FORWARD, _UPRIGHT), _UPRIGHT, -_FORWARD], axis=1)
 class PointLight(AbstractLight):
     """Light from a point, or from a sphere, in all directions. Its shadow map is a cube's six faces.
 
-    The faces look along +x, -x, +y, -y, +z and -z. Each is drawn a little wider than its 90 degrees, so that filter
-    taps across an edge of the cube stay in the face's own map, and no seams show. This works for taps within
+    The faces look along +x, -x, +y, -y, +z and -z. Each face is drawn a little wider than its 90 degrees, so that
+    filter taps across an edge of the cube stay in the face's own map, and no seams show. This works for taps within
     `guard_texels` of the receiver's texel position. The filter's radius may be that large, minus half a texel for
     bilinear taps and minus a normal offset. Taps farther out reach the map's border, where everything is lit.
 
     - `position`: (3,), world units.
     - `near`, `far`: distances along a face's axis of window depth 0 and 1, world units. Surfaces closer to the light
         than `near` along all three axes cast no shadow.
-    - `radius`: of the emitting sphere, world units; 0 for a point.
+    - `radius`: radius of the emitting sphere, world units; 0 for a point.
     - `guard`: how far a face extends beyond its 90 degrees, as a fraction of half their width. Resolution drops by the
         same fraction.
 

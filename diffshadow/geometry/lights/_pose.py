@@ -11,9 +11,10 @@ from .._vector import Vector
 class LightPose(eqx.Module):
     """A light's position, direction and size. A field that does not apply to the kind of light is `None`.
 
-    - `position`: of a light at a finite distance, world units.
+    - `position`: position of a light at a finite distance, world units.
     - `azimuth`, `elevation`: the direction that a directional or spot light comes from, along its axis, in degrees:
-        azimuth 0 is +z and 90 is +x, elevation 90 is straight above. An elevation of more than 90 is beyond the pole.
+        azimuth 0 is +z and 90 is +x, elevation 90 is straight above. An elevation of more than 90 degrees is beyond the
+        pole.
     - `radius`: a directional light's `angular_radius` in degrees, a spot or a point light's `radius` in world units.
     """
 

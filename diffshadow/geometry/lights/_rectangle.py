@@ -71,7 +71,7 @@ class RectangleLight(AbstractLight):
         return cls(position, fitted.direction, size, fitted.outer_angle, fitted.near, fitted.far, up)
 
     def pose(self) -> LightPose:
-        """Its position only: hard shadows depend neither on its orientation nor on its size."""
+        """Only its position: hard shadows depend neither on its orientation nor on its size."""
         return LightPose(Vector(*self.position))
 
     def at(self, pose: LightPose) -> "RectangleLight":

@@ -26,7 +26,7 @@ class SpotLight(AbstractLight):
     - `direction`: (3,), the cone's axis, away from the light; any length but 0.
     - `outer_angle`: half-angle of the cone, in degrees. The shadow map's frustum encloses the cone.
     - `near`, `far`: distances along the axis of window depth 0 and 1, world units.
-    - `radius`: of the emitting disk, which faces along `direction`; world units, 0 for a point.
+    - `radius`: radius of the emitting disk, which faces along `direction`; world units, 0 for a point.
     - `inner_angle`: degrees. Inside this half-angle the light has full intensity; from there to `outer_angle` it falls
         off by a smooth step in the cosine. If left out, shading ignores the cone. Visibility always ignores it.
     - `up`: (3,), up direction of the shadow map; only its part orthogonal to `direction` counts.

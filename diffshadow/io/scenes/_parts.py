@@ -20,12 +20,12 @@ class SceneMesh(NamedTuple):
     - `side`, `shadow_side`: the faces that are drawn, and the faces that are drawn into shadow maps; `None` if the
         engine chooses.
     - `casts`, `receives`: whether it casts and receives shadows.
-    - `layers`: bits of the layers it is in.
+    - `layers`: a bit for each layer that it is in.
     - `colour`: diffuse, each component in [0, 1].
     - `emits`: whether its material shines, or is drawn as if it did.
     - `colours`: (v, 3), linear, of the vertices; `None` if they have no colours.
     - `uv`, `texture`: (v, 2), texture coordinates, and the texture that `colour` is multiplied by; or `None`.
-    - `alpha`: (v,), of the vertices, which the alpha test multiplies by the texture's alpha; `None` if all are 1.
+    - `alpha`: (v,), the vertices' alpha, which the alpha test multiplies by the texture's alpha; `None` if all are 1.
     """
 
     name: str
@@ -53,7 +53,7 @@ class SceneCamera(NamedTuple):
     - `height`: the height of a parallel camera's view, world units.
     - `aspect`: width over height; `None` if the file does not say.
     - `near`, `far`: world units; `far` is `None` if there is no far plane.
-    - `layers`: bits of the layers it sees.
+    - `layers`: a bit for each layer that it sees.
     """
 
     name: str
@@ -71,9 +71,10 @@ class SceneCamera(NamedTuple):
 class SceneShadow(NamedTuple):
     """The settings of a light's shadow, by the names, units and defaults of three.js.
 
-    - `near`, `far`: of its camera; `window`: left, right, top and bottom of a directional light's.
+    - `near`, `far`: distances of its camera's planes; `window`: left, right, top and bottom of a directional light's
+        camera.
     - `map_size`: (width, height), texels.
-    - `half_angle`: degrees, of the height of a spot light's camera; `aspect`: its width over its height.
+    - `half_angle`: half the vertical angle of a spot light's camera, in degrees; `aspect`: its width over its height.
     """
 
     near: float
@@ -97,11 +98,11 @@ class SceneShadow(NamedTuple):
 class SceneLight(NamedTuple):
     """A light.
 
-    - `position`, `direction`: world units, and the direction in which it shines, of any length but 0; a point light has
-        no direction.
-    - `inner_angle`, `outer_angle`: degrees, of a spot light's cone.
+    - `position`, `direction`: its position in world units, and the direction in which it shines, of any length but 0; a
+        point light has no direction.
+    - `inner_angle`, `outer_angle`: angles of a spot light's cone, in degrees.
     - `casts`: whether it casts shadows; `shadow`: the settings of its shadows, `None` if the file has no settings.
-    - `layers`: bits of the layers it is in.
+    - `layers`: a bit for each layer that it is in.
     """
 
     name: str

@@ -27,7 +27,7 @@ _TYPES = {
 def geometry_of(entry: GeometryEntry) -> Geometry:
     """The triangles of a geometry.
 
-    **Raises** `MeshError` if it is damaged, or a shape that is stored by parameters that are not read.
+    **Raises** `MeshError` if it is damaged, or is stored as parameters of a shape that is not supported.
     """
     if entry.data is not None:
         return _stored(entry.data, entry.type)
@@ -42,7 +42,7 @@ def geometry_of(entry: GeometryEntry) -> Geometry:
 def values_of(attribute: Attribute, data: GeometryData | None, name: str) -> Float[HostArray, "n width"]:
     """The rows of an attribute. Normalized integers are mapped to [-1, 1] or [0, 1].
 
-    **Raises** `MeshError` if it lacks its data, or holds other than numbers.
+    **Raises** `MeshError` if its data are missing or are not numbers.
     """
     if attribute.is_interleaved_buffer_attribute:
         kind, rows = _interleaved(attribute, data, name)
@@ -58,7 +58,8 @@ def values_of(attribute: Attribute, data: GeometryData | None, name: str) -> Flo
 
 
 def maybe_half_floats(entry: GeometryEntry) -> list[str]:
-    """The attributes of a geometry whose whole numbers may be the bits of half floats, for which files have no type."""
+    """The attributes of a geometry whose whole numbers may be the bits of half floats, since files have no type for
+    half floats."""
     data = entry.data
     if data is None:
         return []

@@ -363,7 +363,8 @@ GEOMETRIES: Mapping[str, Callable[..., Geometry]] = {
 def build_geometry(kind: str, parameters: Mapping[str, Any]) -> Geometry:
     """The shape of the class `kind`, a key of `GEOMETRIES`, with the `parameters` that a file has for it.
 
-    **Raises** `MeshError` for a parameter that is no finite number, no segments, or more than memory has room for.
+    **Raises** `MeshError` for a parameter that is not a finite number, for no segments, or for more segments than fit
+    into memory.
     """
     build = GEOMETRIES[kind]
     known: dict[str, Any] = {}

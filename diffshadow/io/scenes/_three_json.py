@@ -303,8 +303,8 @@ def _light(entry: _Placed, positions: Mapping[str, Vector], remarks: list[str]) 
             # As the engine looks from a place to itself.
             direction = (0.0, 0.0, -1.0)
             remarks.append(
-                f"{entry.name}: its target is where it stands itself, which is no direction; (0, 0, -1) is taken, as "
-                "by its shadow camera in three.js"
+                f"{entry.name}: its target is at its own position, so that it has no direction; (0, 0, -1) is "
+                "taken, as in three.js' shadow camera"
             )
     inner = outer = None
     if kind == "spot":

@@ -75,7 +75,7 @@ class GeometryData(_Part):
 
 
 class GeometryEntry(_Part):
-    """A geometry: its data, or the parameters of one of the engine's own shapes, which stand beside `type`."""
+    """A geometry: its data, or the parameters of one of the engine's own shapes, as keys beside `type`."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -189,7 +189,7 @@ class Document(_Part):
 def parse(content: Mapping[str, Any]) -> Document:
     """The file's parts.
 
-    **Raises** `MeshError` if it is none of three.js' files, or breaks their format, and `RecursionError` if its objects
+    **Raises** `MeshError` if it is not a file of three.js, or breaks the format, and `RecursionError` if its objects
     are nested too deeply.
     """
     # The editor's file of a project holds its scene and its camera apart.

@@ -53,7 +53,7 @@ class AbstractBias(CheckedModule):
     def shader(self, prefix: str = "") -> ShaderBias:
         """The bias in a shader. The names of its constants begin with `prefix`.
 
-        **Raises** `ValueError` if it has none.
+        **Raises** `ValueError` if it has no shader.
         """
         raise ValueError(
             f"the bias is of type {type(self).__name__}, which has no shader; expected constant, slope, normal offset, "

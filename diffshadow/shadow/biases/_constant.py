@@ -16,8 +16,8 @@ from ._abstract import AbstractBias, BiasTerms, in_depth, shader_of_length
 class ConstantBias(AbstractBias):
     """The same everywhere.
 
-    - `value`: along the light's axis, in `unit`. On a plane with depth slopes `g_x` and `g_y` along the map's axes,
-        nearest look-ups need `(|g_x| + |g_y|) / 2` texels.
+    - `value`: the bias along the light's axis, in `unit`. On a plane with depth slopes `g_x` and `g_y` along the map's
+        axes, nearest look-ups need `(|g_x| + |g_y|) / 2` texels.
     - `unit`: `"texels"`, or `"depth"` for window depth. A value in window depth suits one scene, light and map only.
     """
 

@@ -14,11 +14,11 @@ _MAX_TEXELS = 16.0
 
 
 class Feature(NamedTuple):
-    """A number that a shader knows of a receiver.
+    """A number that a shader knows about a receiver.
 
     - `of`: its value (h, w), at least 0.
-    - `unit`: of the value.
-    - `shader`: the same as an expression of a shader, whose `at` is a `ShadowReceiver`.
+    - `unit`: unit of the value.
+    - `shader`: the same number as an expression of a shader, in which `at` is a `ShadowReceiver`.
     """
 
     of: Callable[[Receiver], Float[Array, "h w"]]

@@ -20,16 +20,18 @@ class LinearBias(AbstractBias):
 
     The term `one` is a constant bias, and the term `slope` is a slope bias with the profile `"tangent"`.
 
-    - `weights`: by the feature's name, in texels per unit of the feature; of any sign. Features:
+    - `weights`: a weight for each feature, by the feature's name, in texels per unit of the feature; of any sign.
+        Features:
         - `one`: 1;
-        - `slope`: the norm of the receiver's depth slope in the map, as of `SlopeBias`;
+        - `slope`: the norm of the receiver's depth slope in the map, as in `SlopeBias`;
         - `sine`, `one_minus_cosine`: sin θ and 1 - cos θ, with θ the angle between normal and light;
         - `texel_size`: the width of a texel at the receiver, in percent of the map's depth range;
-        - `distance`: along the light's axis, 0 at the map's near plane and 1 at its far plane;
+        - `distance`: the distance along the light's axis, 0 at the map's near plane and 1 at its far plane;
         - `blocker_distance`: how far the map's depth at the receiver's texel lies in front of the receiver, in texels,
             from 0 to 16.
 
-    **Raises** `ValueError` if there is none, one has another name, or a weight is out of its range.
+    **Raises** `ValueError` if there are no weights, a name is not the name of a feature, or a weight is out of its
+    range.
 
     !!! Example
 
@@ -52,7 +54,7 @@ class LinearBias(AbstractBias):
             check_value(f"LinearBias.weights[{name!r}]", weight, Settings.each()[name])
 
     def total(self, receiver: Receiver) -> Float[Array, "h w"]:
-        """The sum of all terms, in texels; of any sign."""
+        """The sum of all terms, in texels. It may have any sign."""
         terms = (weight * FEATURES[name].of(receiver) for name, weight in self.weights.items())
         return sum(terms, start=jnp.zeros_like(receiver.cosine))
 

@@ -29,7 +29,7 @@ class PerceptronBias(AbstractBias):
     The perceptron's inputs are the features of the linear terms except `one`, each squashed to `x = f / (1 + f)`.
 
     - `linear`: the linear terms.
-    - `hidden`: the hidden layers, from the first; of each, `weight` (out, in) and `bias` (out,).
+    - `hidden`: the hidden layers, the first layer first; each has a `weight` (out, in) and a `bias` (out,).
     - `last`: (n,), the weights of the last hidden layer's values, in texels.
 
     **Raises** `ValueError` if the layers' sizes do not fit together, there are more than `MAX_WEIGHTS` weights, or one
@@ -47,7 +47,7 @@ class PerceptronBias(AbstractBias):
 
         **Arguments:**
 
-        - `sizes`: of the hidden layers.
+        - `sizes`: sizes of the hidden layers.
 
         **Raises** as the class does.
         """

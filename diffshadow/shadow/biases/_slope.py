@@ -17,7 +17,7 @@ from ._features import FEATURES, Feature
 class SlopeBias(AbstractBias):
     """Slope-scaled bias, `clip(value · profile, least, most)`.
 
-    - `value`: along the light's axis, in `unit`.
+    - `value`: the bias along the light's axis, in `unit`.
     - `profile`: `"tangent"`, the norm of the receiver's depth slope in the map. With square texels and a directional
         light it is tan θ, θ being the angle between normal and light. Nearest look-ups on a plane need a `value` from
         1/2 (sloped along an axis of the map) to 1/√2 (along a diagonal) texels. Or `"one_minus_cosine"`, 1 - cos θ,

@@ -37,7 +37,7 @@ class Place(eqx.Module):
     """Where receivers lie in the light's window.
 
     - `u`, `v`, `z`: (h, w), window coordinates from 0 to 1; z is the depth. u runs to the left if the map is mirrored.
-    - `ahead`: (h, w), whether they are in front of the light; elsewhere the others are meaningless.
+    - `ahead`: (h, w), whether receivers are in front of the light; elsewhere the other fields are meaningless.
     - `depth_per_texel`: (h, w), window depth per width of a texel, the unit of a soft compare.
     """
 
@@ -63,7 +63,7 @@ class Place(eqx.Module):
 
     @property
     def in_window(self) -> Bool[Array, "h w"]:
-        """Whether u and v are from 0 to 1, in front of the light."""
+        """Whether u and v are from 0 to 1, for receivers in front of the light."""
         return self.ahead & (self.u >= 0) & (self.u <= 1) & (self.v >= 0) & (self.v <= 1)
 
 
@@ -71,7 +71,7 @@ class AbstractEngineShadows(AbstractTechnique):
     """Shadows as a real-time engine draws them.
 
     - `compare`: how depths are compared; the hard compare is the engine's own.
-    - `resolution`: of the map, (height, width) in texels.
+    - `resolution`: resolution of the map, (height, width) in texels.
     - `has_layers`: whether cascades are separate layers instead of parts of one texture.
     - `subpixels`: steps to a texel; the engine's rasterizer places vertices at whole steps. Most graphics hardware
         has 256, Chromium's software rasterizer 16.
@@ -96,7 +96,7 @@ class AbstractEngineShadows(AbstractTechnique):
     def compared(self, receiver: Array, per_texel: Array, is_strict: bool = False) -> Compared:
         """The result of the compare of a stored value with the `receiver`'s value.
 
-        The hard compare is the engine's: equal values are lit, or shadowed if it `is_strict`. `per_texel` is the unit
+        The hard compare is the engine's own: equal values are lit, or shadowed if `is_strict`. `per_texel` is the unit
         of a soft compare.
         """
         compare = self.compare
@@ -142,13 +142,13 @@ class AbstractEngineShadows(AbstractTechnique):
         The settings must be those with which the map was drawn: their effect on depths is undone. The state can then be
         used with other biases and radii.
 
-        **Raises** `ValueError` for another shape, numbers that no map holds, and what `prepare` raises.
+        **Raises** `ValueError` for another shape, for numbers that a map cannot contain, and what `prepare` raises.
         """
 
     def with_depth(
         self, depth: Float[Array, "*l h w"], scene: Scene, light: AbstractLight, offset: Sequence[float]
     ) -> EngineMap:
-        """The map that holds `depth`; the other arguments are as for `drawn`."""
+        """The map that stores `depth`; the other arguments are as for `drawn`."""
         receives = [True] * len(scene.meshes) if scene.receives is None else scene.receives
         return EngineMap(depth, light, per_face(offset, scene), per_face(receives, scene))
 
@@ -184,8 +184,8 @@ class AbstractEngineShadows(AbstractTechnique):
         return scene.light
 
     def frame(self, scene: Scene, distance: float) -> LightFrame:
-        """The camera that the engine gives the light of `scene`, at the `distance` along its axis, in world units. For
-        several cascades, the value of the first.
+        """The engine's camera for the light of `scene`, with values at the `distance` along its axis, in world units.
+        For several cascades, the value is that of the first cascade.
 
         **Raises** what `light_frame` and `cameras_of` raise.
         """
@@ -229,7 +229,8 @@ class AbstractEngineShadows(AbstractTechnique):
 
     def covered(self, state: EngineMap, surface: Surface) -> Mask:
         """Pixels that the engine's shadow decides, (h, w): they see a receiver within the light's frustum, on a face
-        turned to the light. Faces turned away are dark in the engine's picture, with or without shadow."""
+        turned to the light. Faces turned away from the light are dark in the engine's picture, with or without
+        shadow."""
         return _covered(state, surface)
 
 

@@ -16,7 +16,7 @@ _VERTICAL = 1e-9
 
 
 def engine_light(light: AbstractLight, nudge: float) -> AbstractLight:
-    """`light` with the axes that an engine's camera at its place has, whose up direction is +y.
+    """`light` with the axes of an engine's camera at the light's place, whose up direction is +y.
 
     **Arguments:**
 
@@ -35,13 +35,14 @@ def engine_light(light: AbstractLight, nudge: float) -> AbstractLight:
 
 
 def refused_light(light: AbstractLight, kinds: Sequence[LightKind] = ("directional", "spot", "point")) -> ValueError:
-    """The error that names a light that no engine has, or that is not of the `kinds` of one."""
+    """The error message for a light that no engine has, or whose kind is not among an engine's `kinds`."""
     expected = f"{', '.join(kinds)} or matrix light"
     return ValueError(f"the light is a {type(light).__name__}; expected a {expected}, as in engines")
 
 
 def upright_axes(direction: Any, nudge: float) -> Float[HostArray, "3 3"]:
-    """To the right, up and back of an engine's camera that looks along `direction` (3,), whose up direction is +y.
+    """The directions right, up and back of an engine's camera that looks along `direction` (3,), whose up direction is
+    +y.
 
     `nudge` is as for `engine_light`.
     """
@@ -56,6 +57,6 @@ def upright_axes(direction: Any, nudge: float) -> Float[HostArray, "3 3"]:
 
 
 def is_vertical(direction: Any) -> bool:
-    """Whether `direction` (3,) is straight up or down, so that +y is no direction across it."""
+    """Whether `direction` (3,) is straight up or down, so that +y cannot be the camera's up direction."""
     x, y, z = np.asarray(direction, np.float64)
     return bool(np.hypot(x, z) < _VERTICAL * abs(y))

@@ -52,26 +52,28 @@ class BabylonJs(AbstractEngineShadows):
     axis of a directional or spot light, (r + n) / (f + n) at the distance r of a point light. Near n and far f are the
     engine's `light.shadowMinZ` and `light.shadowMaxZ`.
 
-    - `bias`: added to the depth of casters as the map is drawn: positive values push them away from the light. In
+    - `bias`: added to the depth of casters when the map is drawn: positive values push casters away from the light. In
         metric; for `PCF`, and in the compares of `PCSS`, in depth from -1 to 1, and half as much in window depth. For
-        the blocker search of `PCSS` both are added.
+        the blocker search of `PCSS`, both are added.
     - `normal_bias`: how far the vertices of casters move against their normals, times the sine of the angle to the
-        light, in world units. It changes the map, so it has no derivative. The engine moves no mesh without normals.
+        light, in world units. It changes the map, so it has no derivative. The engine does not move meshes without
+        normals.
     - `darkness`: the visibility that a full shadow leaves, from 0 to 1.
     - `blur_scale`: the radius of `POISSONSAMPLING` in texels, under a point light in half texels at a face's centre;
         or how many times fewer texels the blurred map has, where it has no derivative.
     - `depth_scale`: the steepness of exponential maps.
-    - `frustum_edge_falloff`: the width of the border over which shadows fade out, from 0 to 1, the half width of the
-        map. The border is a circle, so the corners of the map are lit.
-    - `contact_hardening_light_size_uv_ratio`: the radius of `PCSS`, over the width of the map.
+    - `frustum_edge_falloff`: the width of the border over which shadows fade out, as a fraction of the map's half
+        width. The border is a circle, so the corners of the map are lit.
+    - `contact_hardening_light_size_uv_ratio`: the radius of `PCSS` divided by the width of the map.
     - `filter`: the generator's `FILTER_` constant.
     - `quality`: the generator's `filteringQuality`, for `PCF` and `PCSS`.
-    - `blur_kernel`, `blur_box_offset`, `use_kernel_blur`: of blurred exponential maps: the width in texels of the
+    - `blur_kernel`, `blur_box_offset`, `use_kernel_blur`: the blur of exponential maps: the width in texels of the
         Gaussian, how far the box reaches to each side in texels, and which one is used.
-    - `force_back_faces_only`: whether back faces cast. The engine does so for meshes with its own, clockwise winding.
-        For other meshes, such as those of its glTF loader, the setting has no effect: leave it out for these.
-    - `back_face_culling`: of the meshes' materials: of all, or of each. Without it both sides cast.
-    - `float_maps`: `usefullFloatFirst`: whether maps hold floats. By default, maps have half floats. Their steps are
+    - `force_back_faces_only`: whether back faces cast. The engine culls back faces for meshes with its own, clockwise
+        winding. For other meshes, such as those of its glTF loader, the setting has no effect: leave it out for these.
+    - `back_face_culling`: whether the meshes' materials cull back faces: one value for all meshes, or one for each.
+        Without it both sides cast.
+    - `float_maps`: `usefullFloatFirst`: whether maps store floats. By default, maps have half floats. Their steps are
         2^-11 for metrics of at least 1/2, ten times the default bias.
     - `resolution`, `subpixels`, `compare`: see `AbstractEngineShadows`. Maps are square.
 
@@ -82,10 +84,10 @@ class BabylonJs(AbstractEngineShadows):
     were visible with its own bias.
 
     Rounding to half floats has the derivative of the unrounded value. The radius of `POISSONSAMPLING` has a derivative
-    through its bilinear taps. In the blocker search of `PCSS`, a soft compare weighs blockers. A weight of less than 1
-    in all counts as no blocker.
+    through its bilinear taps. In the blocker search of `PCSS`, a soft compare weighs blockers. A total weight of less
+    than 1 counts as no blocker.
 
-    The rotation of `PCSS` depends on the sine of the device: pixels differ between devices, and means agree.
+    The rotation of `PCSS` depends on how the device computes the sine: pixels differ between devices, but means agree.
 
     **Raises** `ValueError` for a map that is not square.
     """
@@ -125,12 +127,13 @@ class BabylonJs(AbstractEngineShadows):
     def prepare(self, scene: Scene, surface: Surface | None = None) -> EngineMap:
         """The map of the scene's only light. Its depths do not include the bias. It does not depend on `surface`.
 
-        A light is drawn as Babylon.js draws a light at the same place. It has the frustum of our light, and its up
-        direction is +y. The engine's cameras are left-handed. So its map is the mirror image of our light's view:
-        texels run from right to left, and `orthoLeft` and `orthoRight` are our values swapped, with opposite signs.
-        `angle` of a spot light is its full cone in radians. In cube maps, the world's y axis is flipped.
+        A light is drawn like Babylon.js' light at the same place. Babylon.js' light has the frustum of our light, and
+        its up direction is +y. The engine's cameras are left-handed. So its map is the mirror image of our light's
+        view: texels run from right to left, and `orthoLeft` and `orthoRight` are our values swapped, with opposite
+        signs. `angle` of a spot light is its full cone in radians. In cube maps, the world's y axis is flipped.
 
-        **Raises** `ValueError` for an area light, or a number of `back_face_culling` that is not the number of meshes.
+        **Raises** `ValueError` for an area light, or if `back_face_culling` does not have one value or one for each
+        mesh.
         """
         light = engine_light(scene.light, BABYLON_NUDGE)
         sides = self.casting_sides(scene)
@@ -210,7 +213,7 @@ class BabylonJs(AbstractEngineShadows):
 
         Points beside the light's frustum are lit. With `PCF` and `PCSS`, points in front of the near plane or beyond
         the far plane are lit too. With other filters, points beyond the far plane stay in shadow. Faces turned away
-        from the light are compared as all others.
+        from the light are compared like all other faces.
         """
         return _visibility(self, state, surface)
 
@@ -238,7 +241,7 @@ def _visibility(settings: BabylonJs, state: EngineMap, surface: Surface) -> Visi
 
 
 class Receivers(NamedTuple):
-    """Receivers in a map: window coordinates, their metric, and a texel's width in window depth and in metric."""
+    """Receivers in a map: their window coordinates, their metric, and a texel's width in window depth and in metric."""
 
     u: Float[Array, "h w"]
     v: Float[Array, "h w"]

@@ -12,7 +12,7 @@ _PI = 3.1415926
 
 
 def random_turn(clip: Float[Array, "h w 4"]) -> Float[Array, "h w"]:
-    """The angle by which taps are turned at clip coordinates of the light, pseudo-random."""
+    """The pseudo-random angle by which taps are turned, from the light's clip coordinates."""
     # The engine's x runs the other way.
     t = 43758.5453 * jnp.sin(12.9898 * -clip[..., 0] + 78.233 * clip[..., 1])
     return _PI * (t - jnp.floor(t))

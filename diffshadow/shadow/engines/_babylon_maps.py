@@ -19,20 +19,21 @@ MAX_EXPONENT = 87.0
 
 
 def metric_in_window(depth: Float[Array, "h w"], view: View) -> Float[Array, "h w"]:
-    """(d - n) / (f - n) of window `depth`, d the distance along the axis: window depth itself in a parallel view."""
+    """(d - n) / (f - n) of window `depth`, where d is the distance along the axis; in a parallel view this is window
+    depth itself."""
     if not view.is_perspective:
         return depth
     return view.near * depth / (view.far - depth * (view.far - view.near))
 
 
 def metric_in_cube(depth: Float[Array, "6 n n"], light: PointLight) -> Float[Array, "6 n n"]:
-    """(r + n) / (f + n) of window `depth`, r the distance to the light."""
+    """(r + n) / (f + n) of window `depth`, where r is the distance to the light."""
     near, far = light.near, light.far
     return (near * far / (far - depth * (far - near)) * _lengths(depth.shape[-1]) + near) / (far + near)
 
 
 def depth_of_metric(metric: Float[Array, "*l h w"], light: AbstractLight) -> Float[Array, "*l h w"]:
-    """Window depth of a map's `metric`."""
+    """Window depth from a map's `metric`."""
     if isinstance(light, PointLight):
         near, far = light.near, light.far
         distance = (metric * (near + far) - near) / _lengths(metric.shape[-1])
@@ -65,7 +66,7 @@ def box_blurred(image: Float[Array, "h w"], size: Resolution, step: Scalar, offs
 def kernel_blurred(
     image: Float[Array, "h w"], size: Resolution, step: Scalar, kernel: float | int, stored: Any
 ) -> Array:
-    """A Gaussian blur along x and then along y; `stored` is what a map stores of each pass."""
+    """A Gaussian blur along x and then along y; `stored` rounds the result of each pass as a map stores it."""
     places, shares = _gaussian(kernel)
     for axis in np.eye(2):
         # The vertex shader adds the offset.

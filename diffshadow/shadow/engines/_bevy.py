@@ -57,13 +57,13 @@ class Bevy(AbstractEngineShadows):
     `CascadeShadowConfigBuilder`. A directional light has the engine's cameras, which are fitted to the view of the
     scene's camera up to `maximum_distance`. Only the direction of the light matters.
 
-    - `shadow_filtering_method`: of the camera: a tent over 5 texels, or one bilinear compare. `Temporal`, whose noise
-        changes with time, is not drawn.
+    - `shadow_filtering_method`: the camera's filter: a tent over 5 texels, or one bilinear compare. `Temporal`, whose
+        noise changes with time, is not drawn.
     - `shadow_depth_bias`: how far receivers move towards the light, in world units.
-    - `shadow_normal_bias`: how far receivers move along their normals, in diagonals of a texel; under a spot light, of
-        a texel at the receiver's distance.
-    - `num_cascades`, `minimum_distance`, `maximum_distance`, `first_cascade_far_bound`, `overlap_proportion`: of a
-        directional light's cascades; distances in world units.
+    - `shadow_normal_bias`: how far receivers move along their normals, in diagonals of a texel; under a spot light, the
+        texel at the receiver's distance counts.
+    - `num_cascades`, `minimum_distance`, `maximum_distance`, `first_cascade_far_bound`, `overlap_proportion`: settings
+        of a directional light's cascades; distances in world units.
     - `shadow_map_near_z`: the near plane of a spot light, world units.
     - `side`: the faces that the meshes' materials keep (`cull_mode`), which therefore cast; one value for all meshes,
         or one for each.
@@ -98,14 +98,14 @@ class Bevy(AbstractEngineShadows):
         size = self.resolution[0]
         if size & (size - 1):
             raise ValueError(
-                f"Bevy.resolution is {self.resolution}; expected a power of two, to which the engine raises others: "
-                f"{1 << size.bit_length()}"
+                f"Bevy.resolution is {self.resolution}; expected a power of two, since the engine "
+                f"rounds other sizes up: {1 << size.bit_length()}"
             )
 
     def prepare(self, scene: Scene, surface: Surface | None = None) -> EngineMap:
         """The map of the scene's only light. It does not depend on `surface`.
 
-        **Raises** `ValueError` for a point or an area light, or a number of sides that is not the number of meshes.
+        **Raises** `ValueError` for a point or an area light, or if `side` does not have one value or one for each mesh.
         """
         light, casters = self.cameras_of(scene), self.casters(scene)
         # A directional light's casters before its near plane are flattened onto it.
@@ -247,8 +247,8 @@ class Bevy(AbstractEngineShadows):
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
 
         Points outside of a directional light's cascade, or beyond the last cascade, are lit. Under a spot light, points
-        outside of the map are compared with the map's border. Faces turned away from the light are compared as all
-        others.
+        outside of the map are compared with the map's border. Faces turned away from the light are compared like all
+        other faces.
         """
         return _visibility(self, state, surface)
 

@@ -37,13 +37,14 @@ class CameraOfLight(NamedTuple):
 class EngineCameras(AbstractLight):
     """A light with the cameras that an engine gives it: one, or one for each cascade.
 
-    - `world_to_eye`, `eye_to_clip`, `near`, `far`, `to_clip`, `to_window`: of each of the k cameras, see
+    - `world_to_eye`, `eye_to_clip`, `near`, `far`, `to_clip`, `to_window`: one for each of the k cameras, see
         `CameraOfLight`.
     - `camera`: the view of the camera that they are fitted to; None if they are not fitted.
-    - `ends`: (k,), the depths along its axis up to which each is looked up, world units; beyond the last there are no
-        shadows. None for a light without such ends.
+    - `ends`: (k,), the depth along the camera's axis up to which each cascade is looked up, world units; beyond the
+        last depth there are no shadows. `None` for a light without such ends.
     - `is_perspective`: whether it is a spot light rather than a directional one.
-    - `inner_cosine`: of a spot light's angle within which it shines with all its strength; None if that is its window.
+    - `inner_cosine`: cosine of the angle within which a spot light shines with all its strength; `None` if that is its
+        window.
     """
 
     world_to_eye: Float[Array, "k 4 4"] = eqx.field(converter=as_float)
@@ -81,7 +82,7 @@ class EngineCameras(AbstractLight):
 
     @property
     def position(self) -> Float[Array, "3"]:
-        """Where a spot light is, world units."""
+        """A spot light's position, world units."""
         turn = self.world_to_eye[0, :3]
         return -jnp.sum(turn[:, :3] * turn[:, 3:], axis=0)
 
@@ -113,11 +114,11 @@ class EngineCameras(AbstractLight):
         return True if self.ends is None else self.depth(points) <= self.ends[-1]
 
     def window(self, points: Float[Array, "*n 3"], layer: Int[Array, "*n"] | int | None) -> Float[Array, "*n 4"]:
-        """`points` in the map's texture, to the bit as a shader multiplies the matrix with them."""
+        """`points` in the map's texture. The product with the matrix equals a shader's product to the bit."""
         return in_order(self.to_window[0 if layer is None else layer], points)
 
     def clip(self, points: Float[Array, "n 3"], camera: int | None = None) -> Float[Array, "*k n 4"]:
-        """Clip coordinates of `points` in a `camera`, or in each, likewise to the bit; of one, without the axis k."""
+        """Clip coordinates of `points` in one `camera` (without the axis k) or in each, also to the bit."""
         if self.count == 1 or camera is not None:
             return in_order(self.to_clip[camera or 0], points)
         return in_order(self.to_clip[:, None], points)
@@ -146,7 +147,7 @@ def in_order(matrix: Float[Array, "*m 4 4"], points: Float[Array, "*n 3"]) -> Fl
 
 
 def frustum_corners(camera: AbstractCamera, near: float, far: float) -> Float[HostArray, "8 3"]:
-    """The corners of what `camera` sees between two depths, world space; the near end first.
+    """The corners of the part of the view of `camera` between two depths, in world space; the near end first.
 
     Each end starts at its lower right corner and goes anticlockwise.
     """
@@ -169,8 +170,8 @@ def sphere_from_mean(corners: Float[HostArray, "n 3"]) -> tuple[Float[HostArray,
 
 
 def split_depths(near: float, far: float, count: int, logarithmic: float) -> list[float]:
-    """Where each of `count` cascades ends: between equal parts of the depths and equal ratios of them, in the share
-    `logarithmic` of the latter."""
+    """Where each of `count` cascades ends: a mix of equal parts and equal ratios of depth, where `logarithmic` is the
+    share of equal ratios."""
     parts = [i / count for i in range(1, count)]
     mixed = [
         (1 - logarithmic) * (near + (far - near) * part) + logarithmic * near * (far / near) ** part for part in parts
@@ -180,7 +181,7 @@ def split_depths(near: float, far: float, count: int, logarithmic: float) -> lis
 
 def inverse_pose(axes: Float[HostArray, "3 3"], eye: Any) -> Float[HostArray, "4 4"]:
     """World space to the space of an eye whose right, up and backward directions are `axes`: the inverse of its pose,
-    each stored in single precision."""
+    with the pose and the inverse stored in single precision."""
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = np.transpose(axes), np.asarray(eye, np.float64)
     return np.linalg.inv(pose.astype(np.float32).astype(np.float64)).astype(np.float32)
@@ -233,13 +234,15 @@ QUARTERS: Places = ((0.0, 0.0), (0.0, 0.5), (0.5, 0.0), (0.5, 0.5))
 
 
 def quarter_of(resolution: Resolution, count: int) -> Resolution:
-    """(height, width) in texels of each of `count` maps in a texture of this `resolution`: one map fills all of it."""
+    """(height, width) in texels of each of `count` maps in a texture of this `resolution`; a single map fills the whole
+    texture."""
     height, width = resolution
     return resolution if count == 1 else (height // 2, width // 2)
 
 
 def in_quarters(layers: Float[Array, "*k h w"], places: Places, empty: float) -> Float[Array, "H W"]:
-    """One texture of up to four `layers`, at `places`; its other texels are `empty`. One map alone fills all of it."""
+    """One texture of up to four `layers`, at `places`; its other texels are `empty`. A single map fills the whole
+    texture."""
     if layers.ndim == 2:
         return layers
     _, height, width = layers.shape
@@ -250,7 +253,7 @@ def in_quarters(layers: Float[Array, "*k h w"], places: Places, empty: float) ->
 
 
 def of_quarters(texture: Float[Array, "H W"], count: int, places: Places) -> Float[Array, "*k h w"]:
-    """The layers of a texture as `in_quarters` makes it."""
+    """The layers of a texture that `in_quarters` made."""
     if count == 1:
         return texture
     height, width = (side // 2 for side in texture.shape)

@@ -18,13 +18,13 @@ def engine_code(
     distances: tuple[float, float],
     origin: Origin = WORLD,
 ) -> str:
-    """Code in the engine's language that sets `settings` for `light`, with comments on where they hold.
+    """Code in the engine's language that sets `settings` for `light`, with comments on where they are valid.
 
     **Arguments:**
 
     - `light`: a light of this library, or the engine's light.
-    - `distances`: of the nearest and the farthest receiver along the light's axis, world units.
-    - `origin`: of the light's scene: the world point that the light's coordinates are counted from.
+    - `distances`: distances of the nearest and the farthest receiver along the light's axis, world units.
+    - `origin`: the world point that the coordinates of the light's scene are counted from.
 
     **Raises** what `EngineLight.of` raises.
     """
@@ -157,11 +157,11 @@ def _where_it_holds(engine: str, is_linear: bool) -> list[str]:
     if is_linear:
         scale = "With another depth range (far - near), multiply the bias by the old range over the new one."
     else:
-        scale = "Bias is window depth, which depends on near and far: with others, fit it again."
+        scale = "Bias is window depth, which depends on near and far: fit it again for others."
     return [
         f"// {engine}.",
-        f"// Holds for this map size, near and far. {scale}",
-        "// With another map size, normalBias goes with the size of a texel.",
+        f"// Valid for this map size, near and far. {scale}",
+        "// With another map size, normalBias is proportional to the size of a texel.",
     ]
 
 
@@ -174,7 +174,7 @@ def _vector(values: Sequence[float]) -> str:
 
 
 def in_world(light: EngineLight, bias: float, distances: tuple[float, float]) -> str:
-    """The shift towards the light that a bias amounts to."""
+    """The shift towards the light that a bias causes."""
     depth = light.far - light.near
     if light.type == "directional":
         return f"{about(-bias * depth)} world units towards the light"
@@ -203,6 +203,6 @@ def place(position: Sequence[float], origin: Origin) -> str:
 
 
 def number(value: float) -> str:
-    """The fewest digits that are the same number in single precision, and never -0."""
+    """`value` with the fewest digits that read back as the same number in single precision; never -0."""
     (number,) = plain([value])
     return f"{number:.9g}"

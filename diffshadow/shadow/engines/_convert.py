@@ -21,7 +21,8 @@ class EngineSetting(NamedTuple):
     """A setting of an engine.
 
     - `engine`, `setting`: their names, such as `"three.js"` and `"light.shadow.bias"`.
-    - `value`: in the engine's unit, or None if the engine has no counterpart; `note`: what else it depends on.
+    - `value`: the value in the engine's unit, or `None` if the engine has no counterpart; `note`: what else the value
+        depends on.
     - `is_verified`: whether the formula is checked against the engine's own pictures.
     """
 
@@ -36,8 +37,8 @@ class _Common(NamedTuple):
     """What the formulas share: the shift b and a texel's width t in world units, the normal offset m in texels, near n,
     far f, the range D = f - n, and the distance d along the light's axis.
 
-    - `power`, `offset_power`: of the distance, with which b and m t grow; None under a directional light, where nothing
-        varies with distance.
+    - `power`, `offset_power`: powers of the distance with which b and m t grow; None under a directional light, where
+        nothing varies with distance.
     - `softness`: by which Godot and Unity multiply what is set.
     """
 
@@ -72,10 +73,10 @@ class _Common(NamedTuple):
 class PlainBias(NamedTuple):
     """A bias without an engine's unit.
 
-    - `shift`: towards the light, in world units; `power`: of the distance with which it grows.
-    - `offset`: along normals, in texels; `offset_power`: of the distance with which its length grows; `profile`: how it
-        grows with the angle to the light.
-    - `radius`: of a disk of taps that is as wide as the filter, in texels; None for a filter without such a width.
+    - `shift`: shift towards the light, in world units; `power`: the power of the distance with which it grows.
+    - `offset`: shift along normals, in texels; `offset_power`: the power of the distance with which its length grows;
+        `profile`: how it grows with the angle to the light.
+    - `radius`: radius of a disk of taps that is as wide as the filter, in texels; `None` for a filter without a width.
     """
 
     shift: float
@@ -90,7 +91,7 @@ class LightFrame(NamedTuple):
     """A light's camera, at the distance d along its axis.
 
     - `kind`: `"directional"`, `"spot"` or `"point"`.
-    - `texel`: the width of a texel there; `near`, `far`: of the camera. World units.
+    - `texel`: the width of a texel there; `near`, `far`: distances of the camera's planes. World units.
     """
 
     kind: LightKind
@@ -105,7 +106,7 @@ class LightFrame(NamedTuple):
 
 
 def light_frame(light: AbstractLight, resolution: Resolution, distance: float) -> LightFrame:
-    """The camera of a light of the engines with a map of `resolution`; `distance` is as for `engine_settings`.
+    """The camera of an engine's light with a map of `resolution`; `distance` is as for `engine_settings`.
 
     **Raises** what `engine_settings` raises.
     """
@@ -138,17 +139,17 @@ def engine_settings(
     **Arguments:**
 
     - `resolution`: (height, width) of the map, in texels.
-    - `bias`: towards the light, in world units.
+    - `bias`: the bias towards the light, in world units.
     - `normal_offset`: in texels.
-    - `distance`: along the light's axis, in world units. Settings that vary with the distance are given for this
-        distance. Ignored for a directional light.
-    - `profile`: of the normal offset. Engines with another profile are left out, unless the offset is 0. `None` ignores
-        the difference between profiles.
+    - `distance`: a distance along the light's axis, in world units. Settings that vary with the distance are given for
+        this distance. Ignored for a directional light.
+    - `profile`: profile of the normal offset. Engines with another profile are left out, unless the offset is 0. `None`
+        ignores the difference between profiles.
     - `power`: the power of the distance with which the bias grows: 0 for world units, 1 for texels, 2 for window depth.
-        Notes say which settings grow otherwise. `offset_power`: the same for the normal offset.
-    - `softness`: the engine's factor on the set value: Godot, under directional lights, `shadow_blur` times the
-        quality's radius (1 for hard shadows); Unity 1 for hard shadows, and 1.5, 2.5 or 3.5 for soft ones of low,
-        medium or high quality.
+        Notes say which settings grow in another way. `offset_power`: the same for the normal offset.
+    - `softness`: the engine's factor on the set value. For Godot's directional lights it is `shadow_blur` times the
+        quality's radius (1 for hard shadows). For Unity it is 1 for hard shadows, and 1.5, 2.5 or 3.5 for soft shadows
+        of low, medium or high quality.
 
     **Raises** `ValueError` for a distance that is not positive, and what `engine_light` raises.
     """

@@ -28,12 +28,12 @@ class EngineMap(eqx.Module):
         light (6, h, w), the faces of a cube map in OpenGL's order and orientation. Babylon.js' maps are mirrored, see
         `map_of`.
     - `light`: the light it was drawn from.
-    - `offset`: (f,), for each face of the scene's mesh, the factor of its normal bias.
+    - `offset`: (f,), the factor of the normal bias for each face of the scene's mesh.
     - `receives`: (f,), whether the face receives shadows.
     - `blurred`: (height, width) of the blurred map that the engine makes from this map; `None` if the engine makes no
         blurred map, or one of the same size.
-    - `slope`: for engines that draw casters with a polygon offset, with the shape of `depth`: the change of window
-        depth from texel to texel, the larger of rows and columns. Otherwise None.
+    - `slope`: for engines that draw casters with a polygon offset: the change of window depth from texel to texel, the
+        larger of rows and columns; it has the shape of `depth`. Otherwise None.
     - `drawn_with`: the number of slopes that `depth` already includes.
     - `corners`: only for engines whose receivers move at their vertices. Otherwise None.
     - `unit`: the unit of `depth`: window depth; the distance to a point light divided by its far; or reversed depth,
@@ -63,8 +63,8 @@ class EngineMap(eqx.Module):
 
     @property
     def distances(self) -> tuple[Float[Array, "*l h w"], Scalar, Scalar]:
-        """Distances along the axis of the light's view in world units: of the depths, and of the least near and the
-        greatest far plane. If the map of a point light stores distances, these distances."""
+        """Distances along the axis of the light's view, in world units: the distances of the depths, of the nearest
+        near plane, and of the farthest far plane. If the map of a point light stores distances, these distances."""
         view = self.view
         near, far = (jnp.expand_dims(each, (-2, -1)) if jnp.ndim(each) else each for each in (view.near, view.far))
         if self.unit == "distance":
@@ -84,8 +84,8 @@ class EngineMap(eqx.Module):
         return self.depth > 0 if self.unit == "reversed" else self.depth < 1
 
     def sloped(self, count: Scalar) -> Float[Array, "*l h w"]:
-        """Depth with `count` slopes, the factor of a polygon offset. If `drawn_with` is the same, the result is the
-        drawn depth to the bit."""
+        """Depth with `count` slopes added; `count` is the factor of a polygon offset. If `drawn_with` is the same, the
+        result is the drawn depth to the bit."""
         if self.slope is None or self.drawn_with is None:
             return self.depth
         moved = self.depth + (count - self.drawn_with) * self.slope
@@ -108,7 +108,7 @@ class Corners(eqx.Module):
         return cls(as_float(mesh.vertices)[mesh.faces], normalize(as_float(mesh.corner_normals)))
 
     def interpolated(self, values: Float[Array, "f 3 c"], surface: Surface) -> Float[Array, "h w c"]:
-        """`values` of the corners at what each pixel sees."""
+        """`values` of the corners, interpolated at the point that each pixel sees."""
         face = jnp.maximum(surface.face, 0)
         a, b, c = (self.positions[face, k] - surface.position for k in range(3))
         # Of the areas opposite to the corners, with the sign that they have in the face's plane.
@@ -120,8 +120,8 @@ class Corners(eqx.Module):
 
 
 class Casters(NamedTuple):
-    """The triangles that an engine draws into a map: `vertices` (v, 3) and `faces` (f, 3), all to be seen in front, and
-    the textures that cut them out, if any."""
+    """The triangles that an engine draws into a map: `vertices` (v, 3) and `faces` (f, 3), all with their front towards
+    the light, and the textures that cut them out, if any."""
 
     vertices: Float[Array, "v 3"]
     faces: Int[Array, "f 3"]
@@ -129,7 +129,7 @@ class Casters(NamedTuple):
 
     @classmethod
     def of(cls, every: Sequence[Mesh], casting: Sequence[Side | None]) -> "Casters":
-        """Those faces of each mesh that its entry of `casting` names; none of a mesh that does not cast."""
+        """The faces of each mesh that its entry in `casting` names; no faces of a mesh that does not cast."""
         chosen = [(mesh, side) for mesh, side in zip(every, casting, strict=True) if side is not None]
         meshes, sides = zip(*chosen, strict=True)
         whole = merge(meshes).padded()
@@ -149,7 +149,7 @@ class Casters(NamedTuple):
 def each_of(values: Any, meshes: Sequence[Mesh], what: str) -> tuple[Any, ...]:
     """The value of each of `meshes`; `what` names them in errors.
 
-    **Raises** `ValueError` unless there is one for all, or one for each.
+    **Raises** `ValueError` unless there is one value for all meshes, or one for each.
     """
     if not isinstance(values, tuple):
         return (values,) * len(meshes)
@@ -179,7 +179,8 @@ def map_of(
     **Arguments:**
 
     - `subpixels`: steps to a texel; the rasterizer places vertices at whole steps before it computes depth.
-    - `is_mirrored`: draws what a left-handed camera sees: x runs the other way, and in a cube map the world's y does.
+    - `is_mirrored`: draws what a left-handed camera sees: the map is mirrored along x, and a cube map along the world's
+        y.
     - `push`: how far casters are pushed away from the light when the near and far planes clip them, in clip depth from
         -1 to 1. Depths are those without it.
 
@@ -203,7 +204,7 @@ def map_of(
 
 
 class SlopedMap(NamedTuple):
-    """What a light sees through a polygon offset: the depth with it, and the slopes; both as `EngineMap` has them."""
+    """The depth that a light sees, with a polygon offset, and the slopes; both as in `EngineMap`."""
 
     depth: Float[Array, "*l h w"]
     slope: Float[Array, "*l h w"]
@@ -217,8 +218,8 @@ def sloped_map_of(
     factor: Scalar,
     units: Scalar,
 ) -> SlopedMap:
-    """The depth of `casters` whose vertices have `clip` coordinates, drawn with a polygon offset of so many slopes
-    (`factor`) and least steps of depth (`units`). Other arguments are as for `map_of`."""
+    """The depth of `casters` whose vertices have `clip` coordinates, drawn with a polygon offset of `factor` slopes and
+    `units` least steps of depth. Other arguments are as for `map_of`."""
     clip = at_steps(clip, resolution, subpixels)
     offset = (concrete(factor), concrete(units))
     drawn = rasterize(
@@ -277,9 +278,9 @@ def reversed_map_of(
 
     **Arguments:**
 
-    - `clip`: of the vertices, with depth over w reversed.
-    - `is_flattened`: whether what lies before the near plane has depth 1, under a directional light; otherwise it is
-        cut away.
+    - `clip`: the vertices' clip coordinates, with depth over w reversed.
+    - `is_flattened`: whether, under a directional light, surfaces in front of the near plane have depth 1; otherwise
+        they are clipped.
     """
     clip = clip if subpixels == SUBPIXELS else at_steps(clip, resolution, subpixels)
     forward = _forward(clip, jnp.asarray(is_flattened))
@@ -325,8 +326,8 @@ def _steepness(corners: Float[Array, "h w 3 4"], resolution: Resolution) -> Floa
 def distance_map_of(
     casters: Casters, light: PointLight, resolution: Resolution, subpixels: int
 ) -> Float[Array, "6 n n"]:
-    """The distance from a point light over its far that each texel sees, at most 1, and 1 where it sees nothing; as a
-    shader writes it per texel. Arguments are as for `map_of`."""
+    """The distance from a point light divided by its far distance, as a shader writes it for each texel; at most 1, and
+    1 where a texel sees nothing. Arguments are as for `map_of`."""
     clip = _snapped(cube_view(light), casters.vertices, resolution, subpixels, False, as_float(0.0))
     seen = rasterize(clip, casters.faces, resolution, cull="back", alpha_test=casters.alpha_test).face
     return _distances_of(clip, seen, casters.vertices, casters.faces, light)
@@ -369,7 +370,7 @@ def _view_of(light: AbstractLight) -> View:
 
 
 def rounded(product: Array) -> Array:
-    """`product`, which is rounded before anything is added to it: compilers fuse no maximum into a multiply-add."""
+    """`product`, rounded before anything is added to it: compilers do not fuse a maximum into a multiply-add."""
     return jnp.maximum(product, -jnp.finfo(product.dtype).max)
 
 
@@ -389,7 +390,7 @@ CUBE = np.array(
 
 @eqx.filter_jit
 def cube_view(light: PointLight, is_mirrored: bool = False) -> View:
-    """The six views of a cube map, each of exactly 90 degrees; `is_mirrored`: with the world's y turned over."""
+    """The six views of a cube map, each of exactly 90 degrees; `is_mirrored`: whether the world's y is mirrored."""
     rows = jnp.asarray(CUBE) * jnp.array([1.0, 1.0, -1.0])[:, None]
     rows = rows * jnp.array([1.0, -1.0, 1.0]) if is_mirrored else rows
     moved = -jnp.sum(rows * light.position, axis=-1)

@@ -39,8 +39,9 @@ def three_directional_light(
     **Arguments:**
 
     - `position`, `target`: `light.position` and `light.target.position`, (3,), world units.
-    - `left`, `right`, `top`, `bottom`, `near`, `far`: of `light.shadow.camera`, world units from the position.
-    - `angular_radius`: of the light's disk, in degrees, for references; the engine has none.
+    - `left`, `right`, `top`, `bottom`, `near`, `far`: the sides of `light.shadow.camera`, world units from the
+        position.
+    - `angular_radius`: angular radius of the light's disk, in degrees, for references; the engine has none.
 
     **Raises** what `DirectionalLight` raises.
     """
@@ -67,12 +68,14 @@ def three_spot_light(
     **Arguments:**
 
     - `position`, `target`: `light.position` and `light.target.position`, (3,), world units.
-    - `angle`: `light.angle`: from the cone's axis to its side, in radians.
+    - `angle`: `light.angle`: the angle from the cone's axis to its side, in radians.
     - `penumbra`: `light.penumbra`, from 0 to 1: the part of the angle over which shading falls off.
-    - `near`, `far`: of `light.shadow.camera`; `distance`: `light.distance`, which replaces far unless it is 0.
-    - `focus`, `aspect`: of `light.shadow`.
-    - `resolution`: of the map, (height, width); the window is as wide over its height as the map, times `aspect`.
-    - `radius`: of the light's disk, in world units, for references; the engine has none.
+    - `near`, `far`: distances of the planes of `light.shadow.camera`; `distance`: `light.distance`, which replaces far
+        unless it is 0.
+    - `focus`, `aspect`: focus and aspect of `light.shadow`.
+    - `resolution`: resolution of the map, (height, width); the window is as wide over its height as the map, times
+        `aspect`.
+    - `radius`: radius of the light's disk, in world units, for references; the engine has none.
 
     **Raises** what `SpotLight` raises.
     """
@@ -95,8 +98,9 @@ def three_point_light(
     **Arguments:**
 
     - `position`: `light.position`, (3,), world units.
-    - `near`, `far`: of `light.shadow.camera`; `distance`: `light.distance`, which replaces far unless it is 0.
-    - `radius`: of the light's sphere, in world units, for references; the engine has none.
+    - `near`, `far`: distances of the planes of `light.shadow.camera`; `distance`: `light.distance`, which replaces far
+        unless it is 0.
+    - `radius`: radius of the light's sphere, in world units, for references; the engine has none.
 
     **Raises** what `PointLight` raises.
     """
@@ -125,9 +129,9 @@ def babylon_directional_light(
     - `position`, `direction`: `light.position` and `light.direction`, (3,), world units.
     - `ortho_left` to `ortho_bottom`: `light.orthoLeft` and the others, world units.
     - `shadow_min_z`, `shadow_max_z`: near and far, world units from the position.
-    - `shadow_ortho_scale`: `light.shadowOrthoScale`: the part of its width by which the window is wider on each side,
-        and of its height.
-    - `angular_radius`: of the light's disk, in degrees, for references; the engine has none.
+    - `shadow_ortho_scale`: `light.shadowOrthoScale`: how much the window is enlarged on each side, as a fraction of its
+        width and of its height.
+    - `angular_radius`: angular radius of the light's disk, in degrees, for references; the engine has none.
 
     **Raises** what `DirectionalLight` raises.
     """
@@ -152,9 +156,10 @@ def babylon_spot_light(
 
     - `position`, `direction`: `light.position` and `light.direction`, (3,), world units.
     - `angle`: `light.angle`: the full cone, in radians.
-    - `shadow_min_z`, `shadow_max_z`: near and far, world units. Without them the engine takes the camera's.
+    - `shadow_min_z`, `shadow_max_z`: near and far, world units. Without them, the engine takes the camera's near and
+        far.
     - `shadow_angle_scale`: `light.shadowAngleScale`.
-    - `radius`: of the light's disk, in world units, for references; the engine has none.
+    - `radius`: radius of the light's disk, in world units, for references; the engine has none.
 
     **Raises** what `SpotLight` raises.
     """
@@ -170,8 +175,9 @@ def babylon_point_light(
     **Arguments:**
 
     - `position`: `light.position`, (3,), world units.
-    - `shadow_min_z`, `shadow_max_z`: near and far, world units. Without them the engine takes the camera's.
-    - `radius`: of the light's sphere, in world units, for references; the engine has none.
+    - `shadow_min_z`, `shadow_max_z`: near and far, world units. Without them, the engine takes the camera's near and
+        far.
+    - `radius`: radius of the light's sphere, in world units, for references; the engine has none.
 
     **Raises** what `PointLight` raises.
     """
@@ -206,8 +212,8 @@ def fitted_directional_light(
 
     **Arguments:**
 
-    - `direction`: in which the light shines, (3,).
-    - `angular_radius`: of the light's disk, in degrees, for references; the engine has none.
+    - `direction`: the direction in which the light shines, (3,).
+    - `angular_radius`: angular radius of the light's disk, in degrees, for references; the engine has none.
 
     **Raises** what `DirectionalLight` raises.
     """
@@ -228,10 +234,10 @@ def playcanvas_spot_light(
 
     **Arguments:**
 
-    - `position`, `direction`: of the light's entity, and in which it shines, (3,), world units.
+    - `position`, `direction`: position of the light's entity, and the direction in which it shines, (3,), world units.
     - `range`: `light.range`, world units; near is a thousandth of it.
-    - `outer_cone_angle`, `inner_cone_angle`: from the axis, degrees.
-    - `radius`: of the light's disk, in world units, for references; the engine has none.
+    - `outer_cone_angle`, `inner_cone_angle`: angles from the axis, in degrees.
+    - `radius`: radius of the light's disk, in world units, for references; the engine has none.
 
     **Raises** what `SpotLight` raises.
     """
@@ -245,9 +251,9 @@ def playcanvas_omni_light(
 
     **Arguments:**
 
-    - `position`: of the light's entity, (3,), world units.
+    - `position`: position of the light's entity, (3,), world units.
     - `range`: `light.range`, world units; near is a thousandth of it.
-    - `radius`: of the light's sphere, in world units, for references; the engine has none.
+    - `radius`: radius of the light's sphere, in world units, for references; the engine has none.
 
     **Raises** what `PointLight` raises.
     """
@@ -268,10 +274,10 @@ def bevy_spot_light(
 
     **Arguments:**
 
-    - `position`, `direction`: of its transform, and in which it shines, (3,), world units.
-    - `range`, `shadow_map_near_z`: world units; the map's far plane is at infinity.
-    - `outer_angle`, `inner_angle`: from the axis, radians.
-    - `radius`: of the light's disk, in world units, for references; without soft shadows the engine has none.
+    - `position`, `direction`: position of its transform, and the direction in which it shines, (3,), world units.
+    - `range`, `shadow_map_near_z`: distances in world units; the map's far plane is at infinity.
+    - `outer_angle`, `inner_angle`: angles from the axis, in radians.
+    - `radius`: radius of the light's disk, in world units, for references; without soft shadows the engine has none.
 
     **Raises** what `SpotLight` raises.
     """
@@ -291,9 +297,9 @@ def godot_spot_light(
 
     **Arguments:**
 
-    - `position`, `direction`: of its node, and in which it shines, (3,), world units.
+    - `position`, `direction`: position of its node, and the direction in which it shines, (3,), world units.
     - `spot_range`: world units. `spot_angle`: from the axis, degrees.
-    - `radius`: of the light's disk, in world units, for references; the Compatibility renderer has none.
+    - `radius`: radius of the light's disk, in world units, for references; the Compatibility renderer has none.
 
     **Raises** what `SpotLight` raises.
     """
@@ -307,9 +313,9 @@ def godot_omni_light(
 
     **Arguments:**
 
-    - `position`: of its node, (3,), world units.
+    - `position`: position of its node, (3,), world units.
     - `omni_range`: world units.
-    - `radius`: of the light's sphere, in world units, for references; the Compatibility renderer has none.
+    - `radius`: radius of the light's sphere, in world units, for references; the Compatibility renderer has none.
 
     **Raises** what `PointLight` raises.
     """

@@ -79,24 +79,24 @@ class GodotCompatibility(AbstractEngineShadows):
     directional light has the engine's cameras, which are fitted to the view of the scene's camera up to
     `directional_shadow_max_distance`. Only the direction of the light matters.
 
-    - `soft_filter_quality`: one bilinear compare, or the mean of 5 or 13; always one under a point light.
+    - `soft_filter_quality`: one bilinear compare, or the mean of 5 or 13 compares; always one under a point light.
     - `shadow_bias`: moves casters' vertices away from the light, along the rays from the light's camera. Under a
         directional light, the unit is a hundredth of the depth range over the distance; under a spot light, a tenth of
         the light's range over the distance; under a point light, world units. It changes the map, so it has no
         derivative under directional and spot lights.
-    - `shadow_normal_bias`: how far receivers move along their normals, at each vertex. Under a directional light in
-        texels, and less on faces that are turned away. Otherwise `10 / size` of the distance times 1 - |cos θ|, where
-        size is the size of the light's part of the atlas.
+    - `shadow_normal_bias`: how far receivers move along their normals, at each vertex. Under a directional light it is
+        in texels, and less on faces that are turned away from the light. Otherwise `10 / size` of the distance times
+        1 - |cos θ|, where size is the size of the light's part of the atlas.
     - `directional_shadow_mode`: one camera, or four splits.
     - `directional_shadow_max_distance`, `directional_shadow_pancake_size`: how far shadows reach, and the depth of the
         space for casters in front of the camera's view, world units.
     - `directional_shadow_fade_start`: the share of that distance where shadows begin to fade out.
     - `side`: the faces that the meshes' materials keep, which therefore cast; one value for all meshes, or one for
         each.
-    - `resolution`, `subpixels`, `compare`: see `AbstractEngineShadows`. Maps are square. Under a point light it is a
-        cube's face, half as wide as the light's part of the atlas.
+    - `resolution`, `subpixels`, `compare`: see `AbstractEngineShadows`. Maps are square. Under a point light it is the
+        resolution of a cube's face, half as wide as the light's part of the atlas.
 
-    The offset of vertices is interpolated over their triangles, so large triangles have other offsets than small ones.
+    The offset of vertices is interpolated over their triangles, so large and small triangles have different offsets.
 
     **Raises** `ValueError` for a map that is not square.
     """
@@ -125,7 +125,7 @@ class GodotCompatibility(AbstractEngineShadows):
     def prepare(self, scene: Scene, surface: Surface | None = None) -> EngineMap:
         """The map of the scene's only light. It does not depend on `surface`.
 
-        **Raises** `ValueError` for an area light, or a number of sides that is not the number of meshes.
+        **Raises** `ValueError` for an area light, or if `side` does not have one value or one for each mesh.
         """
         light, casters = self.cameras_of(scene), self.casters(scene)
         if isinstance(light, PointLight):
@@ -138,7 +138,7 @@ class GodotCompatibility(AbstractEngineShadows):
     def from_map(self, stored: Any, scene: Scene) -> EngineMap:
         """The state that `prepare` returns, with the map that the engine has drawn in place of our map.
 
-        `stored` is the depth texture, in which splits lie as in the engine. For the arguments and errors see
+        `stored` is the depth texture, with the splits arranged as in the engine. For the arguments and errors see
         `AbstractEngineShadows.from_map`.
         """
         light = self.cameras_of(scene)
@@ -286,7 +286,7 @@ class GodotCompatibility(AbstractEngineShadows):
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
 
         Points beyond a directional light's shadows, or a positional light's range, are lit. Other points outside of the
-        map are compared with the map's border. Faces turned away from the light are compared as all others.
+        map are compared with the map's border. Faces turned away from the light are compared like all other faces.
         """
         return _visibility(self, state, surface)
 

@@ -24,9 +24,9 @@ class EngineLight(NamedTuple):
 
     - `type`: `"directional"`, `"spot"` or `"point"`.
     - `position`, `target`: world coordinates; a point light has no target.
-    - `near`, `far`: of the shadow camera, world units.
+    - `near`, `far`: distances of the shadow camera's planes, world units.
     - `window`: left, right, top and bottom of a directional light's camera, world units.
-    - `angle`: of a spot light's cone, in radians from its axis; `aspect`: of `light.shadow`.
+    - `angle`: half angle of a spot light's cone, in radians from its axis; `aspect`: the aspect of `light.shadow`.
     """
 
     type: str
@@ -95,7 +95,7 @@ def _of_matrices(light: MatrixLight, resolution: Resolution) -> EngineLight:
     at = plain(eye, 2 * _EPSILON * float(np.linalg.norm(eye)))
     if light.is_perspective:
         if projection[:2, 2].any():
-            raise ValueError("the light's window is off its axis; expected one in the middle, as of a spot light")
+            raise ValueError("the light's window is off its axis; expected a centred window, as a spot light has")
         height, width = resolution
         (aspect,) = plain([projection[1, 1] / projection[0, 0] * height / width], 4 * _EPSILON)
         # The far plane is where depth is nearly 1, so that little is left of its digits.
@@ -129,7 +129,8 @@ def _target(position: HostArray, direction: HostArray) -> list[float]:
 
 
 def plain(values: Any, error: float = 0.0) -> list[float]:
-    """Each of `values` with the fewest digits that are the same number in single precision, or within `error`."""
+    """Each of `values` with the fewest digits that read back as the same number in single precision, or as a number
+    within `error`."""
     return [_shortest(float(value), error) for value in values]
 
 

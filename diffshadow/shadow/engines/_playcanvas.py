@@ -83,14 +83,14 @@ class PlayCanvas(AbstractEngineShadows):
     Fields have the names of the engine's own, in `LightComponent`. A directional light has the engine's cameras, which
     are fitted to the view of the scene's camera up to `shadow_distance`. Only the direction of the light matters.
 
-    - `shadow_type`: the filter: one bilinear compare, or a tent over 3 or 5 texels. Under a point light, four compares
-        for the last two.
+    - `shadow_type`: the filter: one bilinear compare, or a tent over 3 or 5 texels. Under a point light, both tents are
+        four compares.
     - `shadow_bias`: from 0 to 1. Under directional and spot lights, casters are drawn with a polygon offset whose
         factor is ten times this number. Under a point light, receivers move by this number times a hundredth of the
         light's range.
-    - `normal_offset_bias`: how far receivers move along their normals, in world units; under a point light, times the
-        distance to the light and 1 - cos θ.
-    - `shadow_intensity`: of the shadow, from 0 to 1.
+    - `normal_offset_bias`: how far receivers move along their normals, in world units; under a point light, this is
+        multiplied by the distance to the light and by 1 - cos θ.
+    - `shadow_intensity`: intensity of the shadow, from 0 to 1.
     - `shadow_distance`: depth up to which a directional light casts shadows, world units.
     - `num_cascades`, `cascade_distribution`: the number of a directional light's cascades, which share the map, and how
         logarithmic their spacing is. The engine's `cascadeBlend`, whose noise depends on the device, is 0.
@@ -128,8 +128,8 @@ class PlayCanvas(AbstractEngineShadows):
     def prepare(self, scene: Scene, surface: Surface | None = None) -> EngineMap:
         """The map of the scene's only light. It does not depend on `surface`.
 
-        **Raises** `ValueError` for an area light, for cascades of a light that is no `DirectionalLight`, or a number of
-        sides that is not the number of meshes.
+        **Raises** `ValueError` for an area light, for cascades of a light that is not a `DirectionalLight`, or if
+        `side` does not have one value or one for each mesh.
         """
         light = self.cameras_of(scene)
         casters = self.casters(scene)
@@ -144,8 +144,8 @@ class PlayCanvas(AbstractEngineShadows):
     def from_map(self, stored: Any, scene: Scene) -> EngineMap:
         """The state that `prepare` returns, with the map that the engine has drawn in place of our map.
 
-        `stored` is the depth texture; of a point light, its first channel. Cascades lie in it as in the engine. For the
-        arguments and errors see `AbstractEngineShadows.from_map`.
+        `stored` is the depth texture; for a point light, its first channel. Cascades are arranged in it as in the
+        engine. For the arguments and errors see `AbstractEngineShadows.from_map`.
         """
         light = self.cameras_of(scene)
         depth = self.checked_map(stored, light, is_depth=True)
@@ -279,7 +279,7 @@ class PlayCanvas(AbstractEngineShadows):
         depends_on = "shadowDistance and view camera" if given.type == "directional" else "range"
         return [
             "// PlayCanvas 2.23, WebGL2.",
-            f"// Holds for this map size, {depends_on}: with others, fit it again.",
+            f"// Valid for this map size, {depends_on}: fit it again for others.",
             *lines,
         ]
 
@@ -287,7 +287,7 @@ class PlayCanvas(AbstractEngineShadows):
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
 
         Points beyond the light's range, cone or `shadow_distance` are lit. Other points outside of the map are compared
-        with the map's border. Faces turned away from the light are compared as all others.
+        with the map's border. Faces turned away from the light are compared like all other faces.
         """
         return _visibility(self, state, surface)
 

@@ -39,7 +39,7 @@ def radius_settings(light: AbstractLight, radius: float) -> list[EngineSetting]:
 
     **Arguments:**
 
-    - `radius`: of a disk of taps, in texels.
+    - `radius`: radius of a disk of taps, in texels.
 
     **Returns** a setting for each engine, whose value is None if the engine has no counterpart.
 

@@ -14,7 +14,7 @@ from ..filters._castano import CASTANO_KERNELS
 from ._textures import bilinear
 
 Compared = Callable[[Array], Array]
-"""What the compare with the receiver gives, of each stored value."""
+"""The result of the compare with the receiver, for each stored value."""
 TentSize = Literal[1, 3, 5]
 """How many texels wide a tent is; 1 for a single bilinear compare."""
 
@@ -24,7 +24,7 @@ def same(x: Array) -> Array:
 
 
 def mean_of(tap: Compared, taps: HostArray, shape: tuple[int, ...]) -> Array:
-    """The mean of `tap` over `taps` (n, d), whose results are of `shape`."""
+    """The mean of `tap` over `taps` (n, d). Results of `tap` have the shape `shape`."""
     add = lambda total, at: (total + tap(at), None)
     return lax.scan(add, jnp.zeros(shape), as_float(taps))[0] / len(taps)
 
@@ -36,7 +36,7 @@ def tent(
     compared: Compared,
     size: TentSize,
 ) -> Float[Array, "h w"]:
-    """The mean under a tent, of 1, 4 or 9 bilinear compares (Castaño, "Shadow mapping summary", 2013)."""
+    """The mean of 1, 4 or 9 bilinear compares, weighted by a tent (Castaño, "Shadow mapping summary", 2013)."""
     if size == 1:
         return bilinear(depth, u, v, compared)
     across = depth.shape[-1]

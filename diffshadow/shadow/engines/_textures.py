@@ -13,14 +13,14 @@ from ..._types import HostArray
 from ._engine_map import CUBE, rounded
 
 Of = Callable[[Float[Array, "*n"]], Float[Array, "*n"]]
-"""What is averaged over texels, of each texel's value."""
+"""The function of each texel's value that is averaged over texels."""
 
 
 def as_half(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """`x` as a texture of half floats holds it, with the derivative of `x`.
+    """`x` rounded as in a texture of half floats, with the derivative of `x`.
 
-    Of subnormal numbers, the software rasterizer keeps 13 more bits, and then rounds them. So what lies just beyond the
-    middle of two is rounded to the even one.
+    For subnormal numbers, the software rasterizer keeps 13 more bits, and then rounds them. So a number just beyond the
+    middle of two neighbours is rounded to the even neighbour.
     """
     # XLA may leave out a conversion to half floats and back. Its `reduce_precision` knows no subnormal numbers.
     subnormal = jnp.round(jnp.trunc(x * 2.0**37) * 2.0**-13) * 2.0**-24
@@ -35,7 +35,7 @@ def nearest(texture: Float[Array, "h w"], u: Float[Array, "*n"], v: Float[Array,
 
 
 def bilinear(texture: Float[Array, "h w"], u: Float[Array, "*n"], v: Float[Array, "*n"], of: Of) -> Float[Array, "*n"]:
-    """The bilinear mean of `of` the four texels around (u, v), from 0 to 1 over the texture."""
+    """The bilinear mean of the function `of` at the four texels around (u, v), from 0 to 1 over the texture."""
     height, width = texture.shape
     read = lambda x, y: texture[jnp.clip(y, 0, height - 1), jnp.clip(x, 0, width - 1)]
     return _of_four(u * width, v * height, read, of)
@@ -55,14 +55,15 @@ def _of_four(
 
 
 def mix(low: Array, high: Array, share: Array) -> Array:
-    """Between two values, as the software rasterizer computes it: of equal ones, it is that value to the bit."""
+    """Interpolates between two values as the software rasterizer does: equal values give the same value to the bit."""
     return low + rounded(share * (high - low))
 
 
 def place_in_cube(
     towards: Float[Array, "*n 3"],
 ) -> tuple[Int[Array, "*n"], Float[Array, "*n"], Float[Array, "*n"], Float[Array, "*n"]]:
-    """The face of a cube map that a direction meets, (s, t) there from 0 to 1, and its length along the face's axis."""
+    """The face of a cube map that a direction meets, its position (s, t) there from 0 to 1, and the direction's length
+    along the face's axis."""
     axis = jnp.argmax(jnp.abs(lax.stop_gradient(towards)), axis=-1)
     major = jnp.take_along_axis(towards, axis[..., None], axis=-1)[..., 0]
     face = (2 * axis + (major < 0)).astype(jnp.int32)
@@ -85,8 +86,8 @@ def with_borders(cube: Float[Array, "6 n n"]) -> Float[Array, "6 m m"]:
 
 
 def bilinear_in_cube(bordered: Float[Array, "6 m m"], towards: Float[Array, "*n 3"], of: Of) -> Float[Array, "*n"]:
-    """The bilinear mean of `of` the four texels around a direction, across the edges of faces; `bordered` is as
-    `with_borders` returns it."""
+    """The bilinear mean of the function `of` at the four texels around a direction, across the edges of faces;
+    `bordered` is the result of `with_borders`."""
     face, s, t, _ = place_in_cube(towards)
     size = bordered.shape[-1] - 2
     read = lambda x, y: bordered[face, jnp.clip(y, -1, size) + 1, jnp.clip(x, -1, size) + 1]

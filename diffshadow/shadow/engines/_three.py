@@ -42,15 +42,16 @@ class ThreeJs(AbstractEngineShadows):
     - `shadow_type`: `renderer.shadowMap.type`. `PCFSoftShadowMap` is drawn as `PCFShadowMap`, as the engine does.
     - `bias`: added to the receiver's window depth after the divide; negative values lift it towards the light.
     - `normal_bias`: how far receivers move along their interpolated normals, in world units.
-    - `radius`: of the disk of taps (PCF) or of the box (VSM), in texels; under a point light, in half texels at a
-        face's centre. Without effect for `BasicShadowMap`.
-    - `intensity`: of the shadow, from 0 to 1.
+    - `radius`: radius of the disk of taps (PCF) or of the box (VSM), in texels; under a point light, in half texels at
+        a face's centre. Without effect for `BasicShadowMap`.
+    - `intensity`: intensity of the shadow, from 0 to 1.
     - `blur_samples`: taps of the box along each axis (VSM).
-    - `side`: of the meshes' materials, `"front"`, `"back"` or `"double"`: of all, or of each. Back sides negate
-        `normal_bias`.
-    - `shadow_side`: of the meshes' materials: the faces that cast. If left out, or `None` for one of the meshes, `side`
-        decides: with `"front"` back faces cast, with `"back"` front faces, and with `"double"` both. With VSM, the
-        faces that `side` names cast. So a closed mesh has no acne, and a single ground plane casts nothing.
+    - `side`: `side` of the meshes' materials, `"front"`, `"back"` or `"double"`: one value for all, or one for each.
+        Back sides negate `normal_bias`.
+    - `shadow_side`: `shadowSide` of the meshes' materials: the faces that cast. If left out, or `None` for one of the
+        meshes, `side` decides: with `"front"` back faces cast, with `"back"` front faces, and with `"double"` both.
+        With VSM, the faces that `side` names cast. So a closed mesh has no acne, and a single ground plane casts
+        nothing.
     - `reversed_depth`: whether the renderer has `reversedDepthBuffer`: surfaces beyond far are in shadow then.
     - `resolution`, `subpixels`, `compare`: see `AbstractEngineShadows`.
 
@@ -92,8 +93,8 @@ class ThreeJs(AbstractEngineShadows):
     def prepare(self, scene: Scene, surface: Surface | None = None) -> EngineMap:
         """The map of the scene's only light. It does not depend on `surface`.
 
-        **Raises** `ValueError` for an area light, a point light with `VSMShadowMap`, which the engine does not draw, or
-        with a map that is not square, or a number of sides that is not the number of meshes.
+        **Raises** `ValueError` for an area light, for a point light with `VSMShadowMap` (which the engine does not
+        draw) or with a map that is not square, or if there is not one side for all meshes or one for each.
         """
         if self.shadow_type == "VSMShadowMap" and isinstance(scene.light, PointLight):
             raise ValueError(
@@ -156,7 +157,8 @@ class ThreeJs(AbstractEngineShadows):
     def visibility(self, state: EngineMap, surface: Surface) -> Visibility:
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
 
-        Points outside of the light's frustum are lit. Faces turned away from the light are compared as all others.
+        Points outside of the light's frustum are lit. Faces turned away from the light are compared like all other
+        faces.
         """
         return _visibility(self, state, surface)
 

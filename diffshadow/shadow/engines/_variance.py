@@ -27,13 +27,13 @@ Moments = tuple[Float[Array, "h w"], Float[Array, "h w"]]
 
 
 def blurred(depth: Float[Array, "h w"], radius: Array, samples: int) -> Moments:
-    """Mean and standard deviation of depth over a box: nearest texels along columns, then bilinear ones along rows.
+    """Mean and standard deviation of depth over a box: nearest texels along columns, then bilinear texels along rows.
 
     Both are rounded to half floats after each pass.
 
     **Arguments:**
 
-    - `radius`: of the box, in texels; its ends are samples.
+    - `radius`: radius of the box, in texels; its ends are samples.
     """
     height, width = depth.shape
     offsets, zeros = as_float(_offsets(samples)), (jnp.zeros_like(depth), jnp.zeros_like(depth))

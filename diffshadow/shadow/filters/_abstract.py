@@ -39,7 +39,7 @@ class AbstractFilter(CheckedModule):
     def shader(self) -> ShaderPart:
         """The function `shadow_filter` of a shader.
 
-        **Raises** `ValueError` if it has none.
+        **Raises** `ValueError` if it has no shader.
         """
         raise ValueError(
             f"the filter is of type {type(self).__name__}, which has no shader; expected one of this package's "
@@ -48,7 +48,7 @@ class AbstractFilter(CheckedModule):
 
     @property
     def reach(self) -> float | None:
-        """How far from the receiver's texel coordinates the filter reads the map, in texels; none if that is not
-        known: under a trace, and for a filter without settings. Maps with a margin need one that is as wide."""
+        """How far from the receiver's texel coordinates the filter reads the map, in texels; none if that is not known,
+        as under a trace or for a filter without settings. Maps with a margin need a margin of this width."""
         reach = concrete(self.settings.reach_of(self)) if issubclass(self.settings, Filter) else None
         return None if reach is None else float(np.max(reach))

@@ -19,10 +19,10 @@ class ExponentialShadowMap(AbstractPrefiltered):
     It is correct where no depth around a receiver is greater than the receiver's, as on a planar receiver. Elsewhere a
     few deeper texels under the blur are enough to light it.
 
-    - `radius`: of the blur, in texels.
-    - `max_radius`: upper bound on `radius`, in texels. Defaults to `radius`, or to 8 if that is traced; rounded up
+    - `radius`: radius of the blur, in texels.
+    - `max_radius`: upper bound on `radius`, in texels. Defaults to `radius`, or to 8 if `radius` is traced; rounded up
         to a half texel.
-    - `kernel`: of the blur; all shapes end at the radius.
+    - `kernel`: kernel of the blur; all shapes end at the radius.
     - `exponent`: k, for linear depth from 0 at the light's near plane to 1 at its far plane. Light leaks to about 1 / k
         behind an occluder.
     - `light_bleeding`: visibility up to this becomes 0 and the rest is stretched.

@@ -23,10 +23,10 @@ class ExponentialVarianceShadowMap(AbstractPrefiltered):
     The positive warp reduces light bleeding behind overlapping occluders, the negative one on receivers with deeper
     surfaces around them.
 
-    - `radius`: of the blur, in texels.
-    - `max_radius`: upper bound on `radius`, in texels. Defaults to `radius`, or to 8 if that is traced; rounded up
+    - `radius`: radius of the blur, in texels.
+    - `max_radius`: upper bound on `radius`, in texels. Defaults to `radius`, or to 8 if `radius` is traced; rounded up
         to a half texel.
-    - `kernel`: of the blur; all shapes end at the radius.
+    - `kernel`: kernel of the blur; all shapes end at the radius.
     - `positive_exponent`, `negative_exponent`: c₊ and c₋, for linear depth z from 0 at the light's near plane to 1 at
         its far plane.
     - `least_variance`: lower bound on the variance of linear depth, which the warps scale by their slope at the

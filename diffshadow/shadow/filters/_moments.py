@@ -24,12 +24,12 @@ class MomentShadowMap(AbstractPrefiltered):
     """The map holds the first four powers of depth, blurred. Visibility is the largest that any distribution of depths
     with these moments allows (Hamburger moment problem).
 
-    The bound is exact for two depths besides the receiver's, so light bleeds only with three occluders or more.
+    The bound is exact for two depths and the receiver's own, so light bleeds only with three occluders or more.
 
-    - `radius`: of the blur, in texels.
-    - `max_radius`: upper bound on `radius`, in texels. Defaults to `radius`, or to 8 if that is traced; rounded up
+    - `radius`: radius of the blur, in texels.
+    - `max_radius`: upper bound on `radius`, in texels. Defaults to `radius`, or to 8 if `radius` is traced; rounded up
         to a half texel.
-    - `kernel`: of the blur; all shapes end at the radius.
+    - `kernel`: kernel of the blur; all shapes end at the radius.
     - `moment_bias`: weight with which moments are blended towards a broad distribution's moments, against rounding. A
         larger one bleeds more light.
     - `light_bleeding`: visibility up to this becomes 0 and the rest is stretched. The authors advise 0.02, which

@@ -28,11 +28,11 @@ class PercentageCloserSoft(AbstractFilter):
 
     The disk is round in the world: where texels are not square, it is an ellipse in the map.
 
-    The blocker search taps the part of the map that can hide the light. Its radius is the light's, projected
-    through the receiver onto the near plane, `light_size · (z_r - near) / near`. The mean depth z_b of the blockers
+    The blocker search taps the part of the map that can hide the light. Its radius is the light's radius, projected
+    through the receiver onto the near plane: `light_size · (z_r - near) / near`. The mean depth z_b of the blockers
     gives the half width of the penumbra, `light_size · (z_r - z_b) / z_b`, which is the radius of the filter taps. For
-    a directional light of angular radius a, they are `(z_r - near) tan a` and `(z_r - z_b) tan a`. Depths are
-    distances from the light here. Receivers without blockers are lit.
+    a directional light of angular radius a, they are `(z_r - near) tan a` and `(z_r - z_b) tan a`. Depths are distances
+    from the light here. Receivers without blockers are lit.
 
     The search is wide, and mistakes a slanted receiver for its own blocker unless the bias follows the receiver's
     plane: use a `ReceiverPlane`, best with `deepening=0`.
@@ -138,9 +138,9 @@ class _Penumbra(eqx.Module):
     """The width of penumbrae at the receivers, in texels along the map's x and y.
 
     - `view`: it converts window depth to distance.
-    - `resolution`: of the map.
+    - `resolution`: resolution of the map.
     - `texel`: (h, w, 2), where receivers fall in the map.
-    - `distance`: (h, w), of receivers along the light's axis, world units.
+    - `distance`: (h, w), distance of receivers along the light's axis, world units.
     - `light_size`: half the light's width in world units; of a directional light, at distance 1.
     """
 
@@ -175,12 +175,12 @@ class _Penumbra(eqx.Module):
 
 
 def half_width_of(light: AbstractLight, size: Scalar | None) -> Scalar:
-    """Half the width of `light` in world units; of a directional light, at distance 1.
+    """Half the width of `light` in world units; for a directional light, at distance 1.
 
     **Arguments:**
 
-    - `size`: overrides the light's own: degrees for a directional light, otherwise world units. If it is left out, a
-        directional light must have an `angular_radius`, and any other light a `radius` or a `size` (2,), whose
+    - `size`: overrides the light's own size: degrees for a directional light, otherwise world units. If it is left out,
+        a directional light must have an `angular_radius`, and any other light a `radius` or a `size` (2,), whose
         rectangle counts as the disk of equal area.
 
     **Raises** `ValueError` if `size` is left out and the light has none of these.

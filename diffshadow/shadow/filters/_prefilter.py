@@ -57,7 +57,7 @@ class AbstractPrefiltered(AbstractFilter):
     bilinearly. `compare` is ignored: the bound is already smooth. A bias moves the receiver, but a receiver plane depth
     bias has no effect.
 
-    - `radius`, `max_radius`, `kernel`: as in `Blur`. `max_radius` defaults to `radius`, or to 8 if that is traced,
+    - `radius`, `max_radius`, `kernel`: as in `Blur`. `max_radius` defaults to `radius`, or to 8 if `radius` is traced,
         and is rounded up to a half texel.
     - `light_bleeding`: as in `reduce_light_bleeding`.
     """
@@ -87,13 +87,13 @@ class AbstractPrefiltered(AbstractFilter):
         return reduce_light_bleeding(bound, self.light_bleeding)
 
     def shader_of(self, *constants: Constant, files: tuple[str, ...]) -> ShaderPart:
-        """The shader's part with these constants, whose functions `shadow_moments` and `shadow_bound` are in `files` of
+        """The shader's part with these constants. Its functions `shadow_moments` and `shadow_bound` are in `files` of
         `shadow`. It reads the texture `moments`, which its functions `shadow_blur_rows` and `shadow_blur_columns`
         draw."""
         blur = self._blur
         each = (
             Constant("LIGHT_BLEEDING", number(self.light_bleeding), "visibility up to which receivers are dark"),
-            Constant("BLUR_MARGIN", blur.margin, "texels by which moments are wider than the map on each side"),
+            Constant("BLUR_MARGIN", blur.margin, "how many texels moments are wider than the map on each side"),
             Constant("BLUR_TEXELS", 2 * blur.reach + 1, "along a row or a column, that a blur reads"),
             Constant("BLUR", numbers(blur.weights), "their weights"),
         )
@@ -106,7 +106,7 @@ class AbstractPrefiltered(AbstractFilter):
 
     @abc.abstractmethod
     def moments(self, depth: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], ...]:
-        """The moments of a depth, which the blurred maps hold."""
+        """The moments of a depth, which the blurred maps store."""
 
     @abc.abstractmethod
     def bound(self, moments: tuple[DepthMap, ...], receiver: DepthMap) -> Visibility:

@@ -21,7 +21,7 @@ from ._abstract import AbstractFilter
 class RandomDisk(AbstractFilter):
     """The mean of taps at the points of a pattern, scaled to a disk.
 
-    - `radius`: of the disk, in texels.
+    - `radius`: radius of the disk, in texels.
     - `pattern`: where the taps lie; stratified points if left out.
     - `lookup`: `"bilinear"` or `"nearest"` taps. With nearest taps, `radius` has no gradient.
     - `early_out`: whether to take the first 8 samples, which lie far out, and skip the others where these agree.

@@ -20,9 +20,11 @@ class Separable(AbstractFilter):
     """A symmetric kernel of fixed width with free weights: bilinear compares one texel apart, weighted along both axes
     and divided by the weights' sum.
 
-    With n weights there are (2n + 1)² compares. All of `Castano`'s kernels are such; size 5 has 3/4 and 1/4.
+    With n weights there are (2n + 1)² compares. All kernels of `Castano` have this form; size 5 has the weights 3/4 and
+    1/4.
 
-    - `weights`: of the compares 1, 2, ... texels from the middle, relative to the middle's; each 0 or more.
+    - `weights`: weights of the compares 1, 2, ... texels from the middle, relative to the weight in the middle; each 0
+        or more.
     """
 
     settings: ClassVar = Settings

@@ -21,7 +21,7 @@ class AbstractSizedFilter(AbstractFilter):
 
     - `radius`: half the kernel's width, in texels.
     - `max_radius`: upper bound on `radius`, in texels; the number of taps grows with its square. Defaults to `radius`,
-        or to 8 if that is traced; rounded up to a half texel.
+        or to 8 if `radius` is traced; rounded up to a half texel.
 
     **Raises** `ValueError` if `radius` is above `max_radius`.
     """

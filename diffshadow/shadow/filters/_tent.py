@@ -15,9 +15,9 @@ class Tent(AbstractSizedFilter):
     The tent moves and grows smoothly: each texel is weighted by the integral of the tent over it. Visibility then has a
     continuous derivative along the map, while a box's derivative has kinks.
 
-    - `radius`: from the tent's peak to its edge, in texels.
+    - `radius`: the distance from the tent's peak to its edge, in texels.
     - `max_radius`: upper bound on `radius`, in texels; the number of taps grows with its square. Defaults to `radius`,
-        or to 8 if that is traced; rounded up to a half texel.
+        or to 8 if `radius` is traced; rounded up to a half texel.
 
     **Raises** `ValueError` if `radius` is above `max_radius`.
     """

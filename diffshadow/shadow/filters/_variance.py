@@ -19,10 +19,10 @@ class VarianceShadowMap(AbstractPrefiltered):
     The bound is exact for one planar occluder over a planar receiver. Where occluders overlap, light bleeds into their
     shadows.
 
-    - `radius`: of the blur, in texels.
-    - `max_radius`: upper bound on `radius`, in texels. Defaults to `radius`, or to 8 if that is traced; rounded up
+    - `radius`: radius of the blur, in texels.
+    - `max_radius`: upper bound on `radius`, in texels. Defaults to `radius`, or to 8 if `radius` is traced; rounded up
         to a half texel.
-    - `kernel`: of the blur; all shapes end at the radius.
+    - `kernel`: kernel of the blur; all shapes end at the radius.
     - `least_variance`: lower bound on the variance of linear depth, which runs from 0 at the light's near plane to 1 at
         its far plane. It hides rounding errors and acne, and blurs contact shadows.
     - `light_bleeding`: visibility up to this becomes 0 and the rest is stretched.

@@ -21,10 +21,10 @@ from ._separable import weight_between
 
 
 def limit_radius(module: Any, field: str = "radius") -> None:
-    """Sets the upper bound on a `module`'s radius: rounded up to half texels, and the radius itself if it was left out.
+    """Sets the upper bound on a `module`'s radius, rounded up to half texels; if left out, it is the radius itself.
 
     Under a trace, where the radius is not known, it is then `TRACED_RADIUS`, and a greater radius is a runtime error.
-    What makes no sense is left as it is, for `check_radius`.
+    Invalid values are left for `check_radius`.
     """
     limit = f"max_{field}"
     radius, greatest = getattr(module, field), getattr(module, limit)
@@ -52,8 +52,8 @@ TRACED_RADIUS = 8.0
 
 
 def check_radius(module: Any, field: str = "radius") -> None:
-    """**Raises** `ValueError` if a `module`'s radius is known and above its upper bound, or that is out of the radius'
-    range."""
+    """**Raises** `ValueError` if a `module`'s radius is known and above its upper bound, or if this bound is out of the
+    radius' range."""
     limit = f"max_{field}"
     check_value(f"{type(module).__name__}.{limit}", getattr(module, limit), module.settings.each()[field])
     check_order(module, field, limit, equal=True)
@@ -62,7 +62,7 @@ def check_radius(module: Any, field: str = "radius") -> None:
 class Blur(eqx.Module):
     """A separable blur of a map.
 
-    - `radius`: in texels, clamped to `max_radius`. Up to half a texel, nothing is blurred.
+    - `radius`: the blur's radius in texels, clamped to `max_radius`. Up to half a texel, nothing is blurred.
     - `max_radius`: upper bound on `radius`.
     - `kernel`: its shape.
     """
@@ -78,7 +78,7 @@ class Blur(eqx.Module):
 
     @property
     def margin(self) -> int:
-        """How many texels a blurred map is wider on each side than the map. Its outermost texels hold the value beyond
+        """How many texels a blurred map is wider on each side than the map. Its outermost texels have the value beyond
         the border."""
         return self.reach + 1
 

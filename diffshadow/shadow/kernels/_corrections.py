@@ -57,7 +57,8 @@ class Corrections(AbstractTerms):
         return _correction(kernel.footprint(here, step), padded, compare, here, number, motion)
 
     def add_up(self, function, padded, compare, at, steps):
-        """Of look-ups (n,) and tables of steps with a column for each, as `where` gathers them."""
+        """The sum for look-ups (n,), with tables of steps that have a column for each look-up, as `where` gathers
+        them."""
         found, texels = _find(padded, compare, at, steps)
 
         def values_at(row: Int[Array, " t"], lookup: Int[Array, " t"]) -> Any:

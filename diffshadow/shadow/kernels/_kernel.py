@@ -32,7 +32,7 @@ class Span(NamedTuple):
 class Footprint(NamedTuple):
     """The texels that a step reads.
 
-    - `column`, `row`: (n,), of the first texel, integers; `rows` begin `up` rows above it.
+    - `column`, `row`: (n,), column and row of the first texel, integers; `rows` begin `up` rows above this texel.
     - `columns`, `rows`: the consecutive columns and rows from there.
     """
 
@@ -57,7 +57,7 @@ class Footprint(NamedTuple):
         return sum(rows, start=jnp.zeros_like(lookup.x))
 
     def depth(self, lookup: Lookup, right: Array | int, up: Array | int) -> Float[Array, "*n"]:
-        """The depth that a texel is compared with: the receiver plane's at the texel's centre."""
+        """The depth that a texel is compared with: the depth of the receiver plane at the texel's centre."""
         if lookup.slope is None:
             return lookup.depth
         along_x, along_y = lookup.slope
@@ -71,7 +71,7 @@ class AbstractKernel(eqx.Module):
 
     Its arrays are scalars or have one value per look-up. Visibility is differentiable with respect to them.
 
-    - `cost`: of a step, in taps.
+    - `cost`: cost of a step, in taps.
     """
 
     @property
@@ -80,7 +80,7 @@ class AbstractKernel(eqx.Module):
 
     @abc.abstractmethod
     def footprint(self, lookup: Lookup, step: Any) -> Footprint:
-        """The texels that look-ups read at a step, which is one for all look-ups or one for each."""
+        """The texels that look-ups read at a step. There is one step for all look-ups, or one for each."""
 
     @abc.abstractmethod
     def reach(self, lookup: Lookup, steps: Any) -> Float[Array, "..."]:

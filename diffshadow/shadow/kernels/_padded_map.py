@@ -27,7 +27,7 @@ class PaddedMap(eqx.Module):
     - `silhouettes`: the casters' outlines within texels, or none.
     - `first`: the row of `depth` at which the map begins, if it is one of several in an `Atlas`.
     - `apart`: whether the depths of all look-ups are read before any is compared.
-    - `view`: the map's, where derivatives follow it; see `Lookup.position`.
+    - `view`: the map's view, if derivatives follow it; see `Lookup.position`.
     """
 
     depth: Float[Array, " n"]
@@ -45,9 +45,9 @@ class PaddedMap(eqx.Module):
         return self.width + 2 * self.margin
 
     def place(self, x: Float[Array, "*n"], y: Float[Array, "*n"], layer: Int[Array, "*n"] | None) -> Int[Array, "*n"]:
-        """Index of texel (x, y), integers. `margin` texels to the right of it and above it exist.
+        """Index of texel (x, y), integers. There are `margin` texels to its right, and as many above it.
 
-        If all of these lie outside the map, it is the index of other empty texels.
+        If all of these texels lie outside the map, it is the index of other empty texels.
         """
         row = _count_from(-self.margin, y, self.height)
         if layer is not None:
@@ -58,7 +58,7 @@ class PaddedMap(eqx.Module):
         return lax.optimization_barrier(row * self.stride + _count_from(-self.margin, x, self.width))
 
     def depth_at(self, place: Int[Array, "*n"], skip: Int[Array, ""] | int) -> Float[Array, "*n"]:
-        """The depths stored `skip` after `place`: fewer than `margin` texels to the right and up.
+        """The depths stored `skip` entries after `place`, fewer than `margin` texels to the right and up.
 
         Look-ups that differ only in `skip` share their address computation.
         """
@@ -70,7 +70,7 @@ class PaddedMap(eqx.Module):
     ) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
         """x and y of points in the world, where `view` sees them.
 
-        In arrays of their own: in reverse mode, XLA is slow to add up axes of three coordinates.
+        They are separate arrays, since in reverse mode XLA is slow to add up axes of three coordinates.
         """
         assert self.view is not None
         matrix = self.view.facing(layer).matrix
@@ -83,13 +83,13 @@ class PaddedMap(eqx.Module):
         return (x / w * 0.5 + 0.5) * self.width, (y / w * 0.5 + 0.5) * self.height
 
     def with_depths_detached(self) -> "PaddedMap":
-        """Without derivatives with respect to the stored depths."""
+        """The same map without derivatives with respect to the stored depths."""
         maps = lambda padded: [] if padded.silhouettes is None else [padded.silhouettes.map]
         depths = lambda padded: (padded.depth, *(values for own in maps(padded) for values in (own.inner, own.outer)))
         return eqx.tree_at(depths, self, lax.stop_gradient(depths(self)))
 
     def read(self, row: Array, place: Int[Array, "*n"], skip: Int[Array, ""] | int) -> Array:
-        """As `depth_at`, from another flat array with the same layout."""
+        """Like `depth_at`, from another flat array with the same layout."""
         from_there = lax.dynamic_slice(row, (skip,), (row.size - (self.margin - 1) * (self.stride + 1),))
         # XLA clamps indices: signed ones to two bounds, unsigned ones to one.
         index, element = place.astype(jnp.uint32)[..., None], lax.GatherDimensionNumbers((), (0,), (0,))

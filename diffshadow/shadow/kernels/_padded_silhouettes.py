@@ -28,8 +28,8 @@ class PaddedSilhouettes(eqx.Module):
     """Silhouettes of a padded map.
 
     - `map`: its slots are padded as the depths are.
-    - `bounds`: of the depths within each texel with one, padded too; see `may_part`.
-    - `blocks`: the same of blocks of texels.
+    - `bounds`: bounds of the depths within each texel with a silhouette, padded too; see `may_part`.
+    - `blocks`: the same bounds for blocks of texels.
     """
 
     map: SilhouetteMap
@@ -80,8 +80,8 @@ def may_part(
 ) -> Bool[Array, "*n"]:
     """Whether receivers may lie between the parts of texels with these bounds.
 
-    `depths` are the least and the greatest that receivers may have; any if left out. They are rounded down to steps, as
-    bounds are, so that some receivers close to a part may be taken for between.
+    `depths` are the least and the greatest depth that receivers may have; any depth if left out. Receivers are rounded
+    down to steps, like the bounds, so that some receivers close to a part may count as between the parts.
     """
     least, greatest = bounds >> _STEP_BITS, bounds & _STEPS
     if depths is None:
@@ -99,7 +99,7 @@ class BlockBounds(eqx.Module):
 
     A level's blocks begin half a block apart, so that few blocks cover a square without reaching far beyond it.
 
-    - `bounds`: of all levels, flattened and concatenated; `levels`: (first, rows, columns) of each.
+    - `bounds`: bounds of all levels, flattened and concatenated; `levels`: (first, rows, columns) of each level.
     """
 
     bounds: UInt32[Array, " n"]

@@ -36,7 +36,7 @@ def weight_between(
     """The weight, in [0, 1], of the interval from `low` to `high` under a kernel of this `radius` around 0.
 
     Weights of intervals that cover the kernel sum to 1, and so their derivatives to 0. Where a side of an interval lies
-    on the kernel's end, they are a smaller radius's weights.
+    on the kernel's end, derivatives are those of a smaller radius.
     """
     radius = jnp.maximum(radius, MIN_RADIUS)
 

@@ -14,7 +14,7 @@ WIDTH = 32
 
 
 class SetBits(eqx.Module):
-    """Bits in rows and `n` columns, 32 rows to a word. Set bits are numbered column by column.
+    """A table of bits with `n` columns, which stores 32 rows in each word. Set bits are numbered column by column.
 
     - `words`: the lowest bit belongs to the first row.
     - `columns`: the set bits as items of columns.
@@ -34,7 +34,7 @@ class SetBits(eqx.Module):
 
     @classmethod
     def of(cls, bits: Bool[Array, " m"]) -> "SetBits":
-        """Of one row of `bits`, as columns of `WIDTH` of them."""
+        """Packs one row of `bits` into columns of `WIDTH` bits."""
         columns = jnp.pad(bits, (0, -bits.size % WIDTH)).reshape(-1, WIDTH)
         return cls(jnp.sum(columns << jnp.arange(WIDTH, dtype=jnp.uint32), axis=1, dtype=jnp.uint32)[None])
 

@@ -45,11 +45,11 @@ def sum_over(
 
     **Arguments:**
 
-    - `lookup`: for the pixels of an image, (h, w), or for its `Blocks`. The arrays of `kernel` have the same shape, or
-        are scalars.
+    - `lookup`: the look-ups of the pixels of an image, (h, w), or of its `Blocks`. The arrays of `kernel` have the same
+        shape, or are scalars.
     - `steps`: the kernel's steps: a pytree of arrays whose first axis is the step. Arrays that differ between the
         pixels of a block have its axes too, (n, rows, 1, columns). They carry no gradient.
-    - `active`: in blocks, where the sum is needed; it is 0 elsewhere. Everywhere if left out.
+    - `active`: where the sum is needed, in blocks; it is 0 elsewhere. Everywhere if left out.
 
     Differentiable with respect to all but `steps`.
     """

@@ -33,7 +33,7 @@ class Tap(AbstractKernel):
     the texel has a silhouette, the side that the tap lies on counts. A bilinear tap compares with the four texels
     around it and interpolates the four results (never the depths).
 
-    - `radius`: in texels; a pair for one along the map's x and another along its y.
+    - `radius`: the radius in texels; or a pair, along the map's x and along its y.
     - `turn`: cosine and sine of the angle by which each look-up rotates its offsets; none for no rotation.
     """
 
@@ -95,10 +95,11 @@ def mean_of_taps(
 
     **Arguments:**
 
-    - `radius`: in texels, a scalar or one for each look-up; a pair for one along the map's x and another along its y.
+    - `radius`: the radius in texels, a scalar or one for each look-up; or a pair, along the map's x and along its y.
     - `pattern`: the offsets of each look-up, as the pixels of an image.
     - `mode`: `"nearest"` or `"bilinear"` taps. With nearest taps, `radius` and position have no gradient.
-    - `active`: the look-ups whose mean is needed, (h, w): others are 0, and mostly skipped. All if left out.
+    - `active`: the look-ups whose mean is needed, (h, w); the mean of other look-ups is 0, and mostly skipped. All if
+        left out.
 
     Differentiable with respect to all but `pattern`.
     """

@@ -15,8 +15,8 @@ class WeightedRow(AbstractRow):
     A position between two texel centres, a fraction s of the way to the right one, has the weights (1 - s) k + s k',
     where k' is the kernel k shifted by one texel.
 
-    - `weights`: of the compare in the middle, and of those 1, 2, ... texels from it along each axis. Weights of a
-        kernel that averages sum to 1, with all but the first counted twice.
+    - `weights`: weights of the compare in the middle, and of the compares 1, 2, ... texels from it along each axis.
+        Weights of a kernel that averages sum to 1, with all but the first counted twice.
     """
 
     weights: tuple[Float[Array, "..."], ...]

@@ -17,10 +17,9 @@ class Choice(NamedTuple):
     """Which layers of a map each point is looked up in.
 
     - `layer`: (h, w); none for a map without layers.
-    - `other`, `weight`: (h, w), a second layer, and the weight of the first in the mean of both; none if there is only
-        one.
-    - `strength`: (h, w), from 1, where there are shadows, to 0, where the map no longer has any; none if it has them
-        everywhere.
+    - `other`, `weight`: (h, w), a second layer, and the weight of the first layer in the mean of both; none if there is
+        only one layer.
+    - `strength`: (h, w), the strength of shadows, from 1 to 0 where the map ends; none if it is 1 everywhere.
     """
 
     layer: Int[Array, "h w"] | None
@@ -46,7 +45,7 @@ class AbstractLayout(CheckedModule):
         **Arguments:**
 
         - `camera`: where the image is drawn from.
-        - `resolution`: (height, width) of each layer, in texels, or of what `layer_resolution` says.
+        - `resolution`: (height, width) of each layer, in texels, as `layer_resolution` returns it.
         - `surface`: the surface that the camera sees; required if `needs_surface`, and otherwise ignored.
 
         **Raises** `ValueError` if the layout does not suit the light or the camera.
@@ -80,9 +79,9 @@ class AbstractLayout(CheckedModule):
         `light`."""
 
     def shader(self, light: AbstractLight) -> ShaderPart:
-        """The function `shadow` of a shader, for maps of `light`, which is as `light` returns it.
+        """The function `shadow` of a shader, for maps of `light`, a result of the method `light`.
 
-        **Raises** `ValueError` if it has none.
+        **Raises** `ValueError` if it has no shader.
         """
         raise ValueError(
             f"the layout is {type(self).__name__}, whose pages have no shader; expected SingleMap, Cascades or "
@@ -98,6 +97,6 @@ class AbstractLayout(CheckedModule):
         return None
 
     def remarks(self, light: AbstractLight) -> tuple[str, ...]:
-        """Remarks on faults of the map of `light` that other settings would mend: sentences without their subject, the
-        light."""
+        """Remarks on faults of the map of `light` that other settings would mend. They are sentences without the
+        subject, which is the light."""
         return ()

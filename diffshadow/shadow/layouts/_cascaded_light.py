@@ -27,7 +27,7 @@ class CascadedLight(AbstractFittedLight):
     - `light`: the directional light.
     - `camera`: the view of the camera.
     - `begins`, `ends`: (l,), the range of depth along the camera's axis that each cascade covers, in world units. A
-        range may begin before the one before it ends.
+        range may begin before the previous range ends.
     - `scale`, `offset`: (l, 2), each cascade's window in the light's own clip space: a point's clip coordinates x and y
         in the cascade are `scale · xy + offset`.
     - `margin`: (l, 2), how far from the border of a cascade a point must lie to be in it, in its clip space, if
@@ -35,7 +35,7 @@ class CascadedLight(AbstractFittedLight):
     - `select`: how a point's cascade is found.
     - `steps`: (l, 2), see `View.steps`.
     - `sides`: (l,), the side of each cascade in texels: it is the lower left square of its layer, and the texels beyond
-        stay empty. None if cascades fill their layers.
+        stay empty. `None` if cascades fill their layers.
     """
 
     light: AbstractLight
@@ -56,7 +56,8 @@ class CascadedLight(AbstractFittedLight):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What each cascade shows, and its side in texels if these differ. Only for concrete lights."""
+        """What each cascade shows, and its side in texels if cascades have different sides. Only for concrete
+        lights."""
         names = [f"up to {float(end):.3g} deep" for end in self.ends]
         if self.sides is not None:
             names = [f"{name}, {int(side)}²" for name, side in zip(names, self.sides, strict=True)]
@@ -95,7 +96,8 @@ class CascadedLight(AbstractFittedLight):
 
         - `blend`: over which part of a slice, or of the map's half width, a cascade fades into the next; none if
             cascades are not blended.
-        - `fade`: over which part of the last slice shadows fade out at its end; none if there are shadows beyond it.
+        - `fade`: over which part of the last slice, at its end, shadows fade out; none if there are shadows beyond the
+            slice.
         """
         layer, depth = self.layer(points), self.depth(points)
         strength = None if fade is None else self._strength(depth, fade)

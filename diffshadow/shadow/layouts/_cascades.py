@@ -43,7 +43,7 @@ class Cascades(AbstractFittedLayout):
     - `count`: the number of cascades.
     - `logarithmic`: λ, from 0 for slices of equal depth to 1 for slices of equal ratio of depths.
     - `distances`: the end of each slice along the camera's axis, in world units; instead of `count` and `logarithmic`.
-        The last is the shadow distance.
+        The last distance is the shadow distance.
     - `shares`: for each cascade a number greater than 0, its number of texels relative to the other cascades. A map of
         R² texels for each of N cascades has N R² in all; the side of cascade i is `R sqrt(N share_i / Σ share)`,
         rounded down. All layers have the size of the largest cascade. Smaller cascades fill the lower left square of
@@ -54,14 +54,14 @@ class Cascades(AbstractFittedLayout):
         greatest depth of the surface that the camera sees (sample distribution shadow maps, Lauritzen, Salvi &
         Lefohn 2011).
     - `shadow_distance`: the depth, in world units, beyond which nothing is shadowed; f if left out.
-    - `fit`: what each cascade contains. `"cascade"`: its slice. `"scene"`: everything up to the end of its slice, which
-        spends texels on surfaces that finer cascades show.
+    - `fit`: what each cascade contains. `"cascade"`: its slice. `"scene"`: everything up to the end of the slice. This
+        spends texels on surfaces that finer cascades already show.
     - `stabilize`: whether texels keep their place on the scene's surfaces when the camera moves. Each cascade then
         contains the least sphere around its slice, whose size does not change when the camera turns, and moves by whole
         texels. Otherwise it contains the box of its slice, cut to the light's own map. Texels keep their place only if
         slices do: with `depths="camera"`, and a camera with constant near and far.
-    - `select`: the cascade in which a receiver is looked up. `"interval"`: by its depth. `"map"`: the first whose map
-        contains it, which uses more of the finer maps.
+    - `select`: the cascade in which a receiver is looked up. `"interval"`: by its depth. `"map"`: the first cascade
+        whose map contains the receiver, which uses more of the finer maps.
     - `blend`: the fraction of a slice, at its end, over which its cascade fades into the next; 0 for a sharp change.
         With `select="map"`, the fraction of the map's half width, at its border.
     - `max_blend`: the greatest `blend` that a fit may reach, for which maps reserve space; defaults to `blend`.
@@ -155,9 +155,9 @@ class Cascades(AbstractFittedLayout):
         side = _side(resolution[0], self.count * self.max_share)
         if side > MAX_TEXELS:
             raise ValueError(
-                f"the cascades' max_share is {self.max_share:.3g}, with which the largest of {self.count} maps of "
-                f"{resolution[0]}² texels on average has {side}²; expected at most {MAX_TEXELS}²: lower the "
-                "resolution, or the greatest share"
+                f"the cascades' max_share is {self.max_share:.3g}: if {self.count} maps have {resolution[0]}² texels "
+                f"on average, the largest has {side}²; expected at most {MAX_TEXELS}²: lower the resolution, or the "
+                "greatest share"
             )
         return side, side
 
@@ -245,7 +245,7 @@ class Cascades(AbstractFittedLayout):
         return self.shadow_distance is not None or self.distances is not None
 
     def remarks(self, light: AbstractLight) -> tuple[str, ...]:
-        """A remark that stabilized cascades are not stable, if their slices move."""
+        """Remarks that stabilized cascades are not stable, if their slices move."""
         if not (self.stabilize and self.depths == "surface"):
             return ()
         return (

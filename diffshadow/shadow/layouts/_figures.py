@@ -11,9 +11,10 @@ from ..._types import Mask
 class MapFigure(NamedTuple):
     """How the layers of a map are named in a figure.
 
-    - `title`: of the figure.
-    - `layers`: what each layer shows, for layers side by side; none if they are put together into one image.
-    - `used`: how many layers show anything; the others come last.
+    - `title`: title of the figure.
+    - `layers`: what each layer shows, for layers that are shown side by side; none if the layers are combined into one
+        image.
+    - `used`: how many layers show anything; empty layers come last.
     """
 
     title: str
@@ -24,13 +25,13 @@ class MapFigure(NamedTuple):
 class LayerFigure(NamedTuple):
     """Which layers an image is looked up in, as colours over the image.
 
-    - `name`: of the figure's file, a word.
+    - `name`: name of the figure's file, a word.
     - `title`, `subtitle`: above the figure.
     - `labels`: what each colour in the legend means, by its number.
     - `colour`: (h, w), the number of the colour at each pixel.
-    - `other`, `weight`: (h, w), a second colour, and the weight of the first in the mean of both; none if there is only
-        one.
-    - `brightness`: (h, w), a factor of the colour; none for 1.
+    - `other`, `weight`: (h, w), a second colour, and the weight of the first colour in the mean of both; none if there
+        is only one colour.
+    - `brightness`: (h, w), a factor of the colour; none for a factor of 1.
     - `shown`: (h, w), which pixels are coloured.
     """
 

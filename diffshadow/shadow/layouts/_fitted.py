@@ -19,7 +19,7 @@ _ROUNDING = 1e-6
 class AbstractFittedLayout(AbstractLayout):
     """A layout for directional lights that is fitted to what a camera sees.
 
-    - `shadow_distance`: the depth along the camera's axis, in world units, beyond which nothing is shadowed; none for
+    - `shadow_distance`: the depth along the camera's axis, in world units, beyond which nothing is shadowed; `None` for
         the camera's far.
     - `margin`: how far maps extend beyond what the camera sees, in texels.
     """

@@ -29,7 +29,7 @@ class AbstractFittedLight(AbstractLight):
 
     @property
     def angular_radius(self) -> Scalar | None:
-        """Half the light's angular diameter, in degrees; none for a light without."""
+        """Half the light's angular diameter, in degrees; none for a light without a size."""
         return getattr(self.light, "angular_radius", None)
 
     @property

@@ -16,7 +16,8 @@ class ViewFrustum(NamedTuple):
     """What a camera sees.
 
     - `eye`: (3,), its position; `axes`: (3, 3), the unit vectors to its right, up and forward; in world space.
-    - `corners`: (4, 2), how far right and up of its axis the corners of its image are, at depth 1 if `is_perspective`.
+    - `corners`: (4, 2), how far the image's corners lie to the right of and above the axis, at depth 1 if
+        `is_perspective`.
     """
 
     eye: Vec3
@@ -34,17 +35,18 @@ class ViewFrustum(NamedTuple):
         return cls(-jnp.sum(turn * shift[:, None], axis=0), turn * backward, corners, view.is_perspective)
 
     def corners_at(self, depth: Float[Array, " l"]) -> Float[Array, "l 4 3"]:
-        """The corners of what it sees at each `depth`, in world space."""
+        """The corners of the camera's view at each `depth`, in world space."""
         depth = depth[:, None, None]
         x, y = self.corners[:, :1], self.corners[:, 1:]
         sides = x * self.axes[0] + y * self.axes[1]
         return self.eye + depth * self.axes[2] + (depth * sides if self.is_perspective else sides)
 
     def spheres(self, begin: Float[Array, " l"], end: Float[Array, " l"]) -> tuple[Float[Array, "l 3"], Array]:
-        """The centres (l, 3) and radii (l,) of the least spheres about what it sees between depths.
+        """The centres (l, 3) and radii (l,) of the smallest spheres around parts of the camera's view, each between two
+        depths.
 
-        They depend on the camera's field of view, not on its pose: in arithmetic too, so that a camera that turns does
-        not change their size.
+        The radii depend on the camera's field of view, not on its pose. This is true to the bit, so that a camera that
+        turns does not change their size.
         """
         k2 = jnp.max(jnp.sum(self.corners**2, axis=-1))
         half = (end - begin) / 2
@@ -63,8 +65,9 @@ def depths_of(camera: View, surface: Surface | None, shadow_distance: Scalar | N
 
     **Arguments:**
 
-    - `surface`: what the camera sees, to fit maps to its depths; none for those from the camera's near to its far.
-    - `shadow_distance`: upper bound on both; none for no bound.
+    - `surface`: the surface that the camera sees, if maps are fitted to its depths; none to fit them to all depths from
+        the camera's near to its far.
+    - `shadow_distance`: upper bound on both depths; none if there is no bound.
     """
     near, far = camera.near, camera.far
     if surface is not None:

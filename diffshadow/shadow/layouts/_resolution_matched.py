@@ -106,7 +106,7 @@ class ResolutionMatched(AbstractFittedLayout):
     def capacity(self, resolution: Resolution) -> int:
         """How many pages with their gutters have as many texels as a map of `resolution`.
 
-        **Raises** `ValueError` if it is none.
+        **Raises** `ValueError` if there is no space for a page.
         """
         (height, width), side = resolution, side_of(self.page, self.gutter)
         if height * width < side * side:
@@ -151,7 +151,7 @@ class ResolutionMatched(AbstractFittedLayout):
         return MapFigure(f"{counted(count, 'page')}, from fine to coarse", None, count)
 
     def layer_figure(self, light: AbstractLight, surface: Surface) -> LayerFigure:
-        """The level of each page, each a little lighter or darker than the next."""
+        """The level of each page as a colour; neighbouring pages are a little lighter or darker."""
         assert isinstance(light, PagedLight)
         layer, _, _, strength = self.choose(light, surface.position)
         pages, shown = light.pages, surface.mask if strength is None else surface.mask & (strength > 0)
@@ -170,7 +170,7 @@ class ResolutionMatched(AbstractFittedLayout):
         )
 
     def remarks(self, light: AbstractLight) -> tuple[str, ...]:
-        """Remarks: pages did not fit, so texels are larger than pixels; or the finest level is too coarse."""
+        """Remarks if pages did not fit, so that texels are larger than pixels, or if the finest level is too coarse."""
         assert isinstance(light, PagedLight)
         raised, bias, coarse = float(light.raised), float(light.bias), float(light.too_coarse)
         found = []

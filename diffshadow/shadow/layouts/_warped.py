@@ -78,8 +78,8 @@ class PerspectiveWarp(AbstractFittedLayout):
     - `shadow_distance`: the depth along the camera's axis, in world units, beyond which nothing is shadowed; the
         camera's far if left out.
     - `depths`: the depths that the map shows. `"camera"`: from the camera's near to its far. `"surface"`: from the
-        least to the greatest depth of the surface that it sees, so that no texels are spent on empty space in front of
-        the surface. Defaults to `"surface"` for `"perspective"`, and to `"camera"` for the other methods.
+        least to the greatest depth of the surface that the camera sees, so that no texels are spent on empty space in
+        front of the surface. Defaults to `"surface"` for `"perspective"`, and to `"camera"` for the other methods.
     - `margin`: how far the map extends beyond the camera's view, in texels, so that filters read no texels beyond the
         border. It must be at least the greatest radius of the filter, plus half a texel if its look-ups are bilinear,
         plus any normal offset. At the far end, the margin is narrower if `strength` is set above `1 / (2 m)`.
@@ -146,7 +146,7 @@ class _Axes(NamedTuple):
 
     - `up`: (2,), the direction of the camera's axis in the plane across the light, in the light's eye space; a unit
         vector.
-    - `sine`: of the angle between light and view.
+    - `sine`: sine of the angle between light and view.
     """
 
     up: Vec2
@@ -218,8 +218,8 @@ def _strength(
 
     **Arguments:**
 
-    - `depth`, `height`: of the points that the map shows, along the camera's axis in world units, and in a map without
-        a warp.
+    - `depth`, `height`: depth and height of the points that the map shows, along the camera's axis in world units, and
+        in a map without a warp.
     - `rise`: z₁ - z₀, world units.
     """
     least = jnp.maximum(jnp.min(depth), camera.near)

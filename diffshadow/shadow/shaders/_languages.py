@@ -25,7 +25,7 @@ _NAME = r"[A-Za-z_]\w*"
 class Language(NamedTuple):
     """A shading language.
 
-    - `suffix`: of its files.
+    - `suffix`: suffix of its files.
     - `array`: the declaration of an array of floats, from its name, its length and its values.
     - `scalar`: the declaration of a number, from its type, its name and its value.
     - `translate`: functions of the parts of shaders in this language.
@@ -158,4 +158,4 @@ LANGUAGES: Mapping[str, Language] = {
         _HLSL["ShadowTexture"],
     ),
 }
-"""By the name that `to_shader` takes: GLSL 3.30 and ES 3.00, WGSL, and HLSL of shader model 5."""
+"""The languages by the names that `to_shader` takes: GLSL 3.30 and ES 3.00, WGSL, and HLSL of shader model 5."""

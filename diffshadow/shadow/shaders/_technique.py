@@ -22,12 +22,12 @@ from ..filters._pcss import PercentageCloserSoft, half_width_of
 from ..layouts import CascadedLight, Cascades, PerspectiveWarp, WarpedLight
 from ._languages import LANGUAGES, renamed
 
-# Why a technique has no shader, and which one comes nearest.
+# Why a technique has no shader, and which one is the most similar.
 _REFUSED: Mapping[type[AbstractTechnique], str] = {
-    ShadowVolumes: "it draws volumes into a stencil buffer, and looks nothing up; nearest comes ShadowMapping with a "
-    "large map and the filter Nearest",
-    IrregularZBuffer: "it keeps a list of pixels for each texel; nearest comes ShadowMapping with Cascades",
-    ProjectiveShadow: "it only reads a texture, without a compare; nearest comes ShadowMapping",
+    ShadowVolumes: "it draws volumes into a stencil buffer, and looks nothing up; the most similar is ShadowMapping "
+    "with a large map and the filter Nearest",
+    IrregularZBuffer: "it stores a list of pixels for each texel; the most similar is ShadowMapping with Cascades",
+    ProjectiveShadow: "it reads a texture and compares no depths; the most similar is ShadowMapping",
     AbstractEngineShadows: "its shader is the engine's own; `diffshadow convert` writes its settings",
 }
 # Longer arrays are buffers in languages that compile them for minutes.
@@ -42,24 +42,24 @@ def to_shader(
     name: str = "shadow",
     first_binding: int = 0,
 ) -> str:
-    """A technique as a function of a shader, which finds what `technique.visibility` finds.
+    """A technique as a function of a shader, with the same result as `technique.visibility`.
 
     Its comment says what its arguments are. Its numbers are constants above it, with all digits of single precision.
-    The constants `SHADOW_NEAR` and `SHADOW_FAR` belong to the light's matrices. Of a filter that blurs the map, such as
-    `VarianceShadowMap`, the functions `shadow_blur_rows` and `shadow_blur_columns` are the fragment shaders' of two
-    passes.
+    The constants `SHADOW_NEAR` and `SHADOW_FAR` belong to the light's matrices. For a filter that blurs the map, such
+    as `VarianceShadowMap`, call the functions `shadow_blur_rows` and `shadow_blur_columns` in the fragment shaders of
+    two passes.
 
     **Arguments:**
 
     - `technique`: a `ShadowMapping` without silhouettes, with a single map, cascades or a warp.
-    - `light`: as the map was drawn from: a directional, a spot or a point light, and for cascades or a warp
+    - `light`: the light that the map was drawn from: a directional, spot or point light; for cascades or a warp,
         `technique.light_of_map(scene)`.
     - `language`: `"glsl"` (3.30 or ES 3.00), `"wgsl"`, or `"hlsl"` (shader model 5).
-    - `name`: of the function, in small letters. All other names begin with it, so that shaders of different names fit
-        into one program.
-    - `first_binding`: in WGSL, of the first array that is a buffer of group 1; see `shader_buffers`.
+    - `name`: name of the function, in small letters. All other names begin with it, so that shaders of different names
+        fit into one program.
+    - `first_binding`: for WGSL, the binding of the first array that is a buffer of group 1; see `shader_buffers`.
 
-    **Raises** `ValueError` for a technique, a part or a light that has no shader, and a name that is none.
+    **Raises** `ValueError` for a technique, a part or a light that has no shader, and for an invalid name.
 
     !!! Example
 
@@ -90,11 +90,11 @@ def to_shader(
 def shader_buffers(
     technique: AbstractTechnique, light: AbstractLight, language: ShaderLanguage, name: str = "shadow"
 ) -> dict[str, HostArray]:
-    """What the buffers hold that `to_shader` declares with these arguments: float32 values by the variable's name, in
-    the order of their bindings.
+    """The content of the buffers that `to_shader` declares with these arguments: float32 values by the variable's name,
+    in the order of their bindings.
 
     Compilers of WGSL take minutes for a table of thousands of numbers, such as a pattern of 32 points for each of 8²
-    pixels. Tables of more than 256 numbers are therefore storage buffers there. Other languages have none.
+    pixels. In WGSL, tables of more than 256 numbers are therefore storage buffers. Other languages have none.
 
     **Raises** what `to_shader` raises.
     """
@@ -118,8 +118,8 @@ def _shader_of(technique: AbstractTechnique, light: AbstractLight) -> ShaderPart
         )
     if technique.map.silhouettes:
         raise ValueError(
-            "map.silhouettes is true, which has no shader; expected false, since shaders compare stored depths only: "
-            "nearest comes a map of more texels"
+            "map.silhouettes is true, which has no shader; expected false, since shaders compare only stored depths: "
+            "the most similar is a map of more texels"
         )
     layout = technique.layout
     expected = {Cascades: CascadedLight, PerspectiveWarp: WarpedLight}.get(type(layout))

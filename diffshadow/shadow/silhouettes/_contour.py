@@ -25,7 +25,7 @@ _FORWARD = np.array([[True], [True], [False], [False]])
 class Contours(NamedTuple):
     """The outline in texels (t,).
 
-    - `planes`: (2, t), relative to the texel's centre.
+    - `planes`: (2, t), half-planes relative to the texel's centre.
     - `inner`, `outer`: window depths inside both half-planes, and elsewhere in the texel.
     - `follows`: whether edges define the line; only then do the half-planes carry its derivative.
     - `exists`: whether the outline passes through the texel at all.
@@ -68,8 +68,8 @@ def find_contours(
 ) -> Contours:
     """The contours of texels with crossings, (t,).
 
-    Along the walk around a texel, casters begin and end. The outline runs from a point where one ends to a point where
-    one begins, with the caster to its left.
+    Along the walk around a texel, casters begin and end. The outline runs from a point where a caster ends to a point
+    where a caster begins, with the caster to its left.
     """
     texel = jnp.minimum(crossings.texel, grid.texels - 1)
     layer, row, column = texel // (grid.height * grid.width), texel // grid.width % grid.height, texel % grid.width

@@ -42,12 +42,13 @@ class Grid(NamedTuple):
 class OutlineCrossings(eqx.Module):
     """Where the outline crosses the sides of texels. Sides are directed upwards or to the right.
 
-    - `texel`: (t,), the number of each texel with crossings; `grid.texels` stands for none.
-    - `at`: (2, 4, t), for each side of these texels, the crossing at which a caster ends along the walk around it, and
-        the one at which a caster begins. Of several, the outermost; c, the number of crossings, stands for none.
-    - `place`, `depth`: (c + 1,), of each crossing: the position along its side, in [0, 1], and its window depth.
+    - `texel`: (t,), the number of each texel with crossings; `grid.texels` means none.
+    - `at`: (2, 4, t), for each side of these texels, the crossing at which a caster ends, and the crossing at which a
+        caster begins, along the walk around the texel. If there are several crossings, it is the outermost; c, the
+        number of crossings, means none.
+    - `place`, `depth`: (c + 1,), each crossing's position along its side, in [0, 1], and its window depth.
     - `direction`: (c + 1, 2), the edge's unit direction, with the caster to its left; 0 for none.
-    - `motion`: (c + 1, 2), of value zero, with the derivative of the edge's point there.
+    - `motion`: (c + 1, 2), zeros, with the derivative of the edge's point there.
     """
 
     texel: Int[Array, " t"]

@@ -29,7 +29,7 @@ WHOLE_TEXEL = Rectangle(-0.5, 0.5, -0.5, 0.5)
 
 
 Pair = Float[Array, "..."] | Sequence[Float[Array, "..."]]
-"""Of two half-planes: their first axis, or an array for each."""
+"""A value for each of two half-planes: along a first axis, or in an array for each."""
 
 
 class HalfPlanes(NamedTuple):

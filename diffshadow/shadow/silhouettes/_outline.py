@@ -12,7 +12,7 @@ from ...raster import Segments, light_sides, silhouettes_by_adjacency
 class Outline(eqx.Module):
     """Silhouette edges clipped to the map with a border of one texel; the caster lies to their left.
 
-    - `start`, `end`: (n, 2), in texels; `depth`: (n, 2), window depth at both; `layer`: (n,), of the map.
+    - `start`, `end`: (n, 2), in texels; `depth`: (n, 2), window depth at both; `layer`: (n,), layer of the map.
     - `counts`: (n, 2), how many vertical and horizontal texel boundaries each edge crosses.
     """
 
@@ -26,7 +26,7 @@ class Outline(eqx.Module):
     def of(
         cls, clip: Float[Array, "*l v 4"], mesh: Mesh, light: AbstractLight, edges: Edges, resolution: Resolution
     ) -> "Outline":
-        """The silhouettes that `light` sees of a `mesh` with these `edges` and clip coordinates (v, 4)."""
+        """The silhouettes of a `mesh`, with these `edges` and clip coordinates (v, 4), as seen from `light`."""
         found = silhouettes_by_adjacency(edges, light_sides(mesh, light))
         ends = jnp.where((found.multiplicity >= 0)[:, None], found.vertices, found.vertices[:, ::-1])
         clip = clip.reshape(-1, *clip.shape[-2:])

@@ -96,7 +96,7 @@ def find_silhouettes(
 
     **Arguments:**
 
-    - `depth`: (h, w), the map's; `corners`: (h + 1, w + 1), depth at the corners of its texels.
+    - `depth`: (h, w), the map's depths; `corners`: (h + 1, w + 1), depth at the corners of its texels.
     - `capacity`: the number of crossings that are processed; compare it with `outline.counts`.
     """
     height, width = depth.shape[-2:]

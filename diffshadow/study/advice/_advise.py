@@ -54,7 +54,7 @@ class _Fitted(NamedTuple):
 
 def run_advise(advice: Advice, *, console: Console, scheduler: str | None = None, workers: int | None = None) -> Path:
     """Fits every technique of `advice` that is not fitted yet, times all of them in turns, prints a ranking and a
-    verdict, and writes a page and the recommended configuration. For an engine, it ends with the code to paste.
+    verdict, and writes a page and the recommended configuration. For an engine, it prints the code to paste at the end.
 
     Fits are done as in `run_sweep`, with the same arguments and errors. All techniques are timed in this process after
     the last fit, and the times are stored.

@@ -5,24 +5,24 @@ from collections.abc import Sequence
 from ..record._sweeps import Candidate
 
 SAME_TIME = 0.05
-"""The fraction by which two times may differ and still count as equal: repeated measurements differ so."""
+"""The fraction by which two times may differ and still count as equal: repeated measurements differ by as much."""
 
 
 def same_time(one: Candidate, other: Candidate) -> bool:
-    """Whether the times of two candidates differ by no more than `SAME_TIME`, or than both may be off."""
+    """Whether the times of two candidates differ by no more than `SAME_TIME`, or by no more than the uncertainty of
+    both."""
     most = 1 + max(SAME_TIME, one.spread + other.spread)
     return 1 / most <= one.ratio / other.ratio <= most
 
 
 def ranked(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """The candidates by error; of equal ones, the fastest first."""
+    """The candidates in order of error; if errors are equal, the fastest first."""
     return sorted(candidates, key=lambda each: (each.rmse, each.ratio))
 
 
 def front(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """The Pareto front, from fast to slow: no other candidate is faster with as small an error.
-
-    Equal ones are all on it.
+    """The Pareto front, from fast to slow: no other candidate is faster with as small an error. Equal candidates are
+    all on the front.
     """
     beats = lambda a, b: a.rmse <= b.rmse and a.ratio <= b.ratio and (a.rmse < b.rmse or a.ratio < b.ratio)
     kept = [each for each in candidates if not any(beats(other, each) for other in candidates)]
@@ -33,7 +33,8 @@ def recommended(candidates: Sequence[Candidate], within: float, noise: float = 0
     """The fastest candidate whose RMSE exceeds the least by at most the fraction `within` of it, or by the reference's
     `noise`.
 
-    Of those with the same time, it is the fastest of those with the least error within the noise.
+    Among candidates that take the same time, it is the one with the least error, or the fastest if errors differ only
+    by noise.
     """
     least = min(each.rmse for each in candidates)
     good = [each for each in candidates if each.rmse <= least + tolerated(least, within, noise)]

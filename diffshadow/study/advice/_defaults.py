@@ -32,7 +32,7 @@ _MEASURED: Mapping[EngineName, str] = {
     "godot_compatibility": "Soft Low",
 }
 _IN_METRES = "for scenes whose unit is a metre; under a sun, the width of a texel follows the view camera"
-_THERE_ONLY = "settings that do not grow with the distance as texels do hold there only"
+_THERE_ONLY = "at other distances, only settings that grow with the distance, as texels do, stay valid"
 # What the engines do beside the bias, and did where the rules were measured.
 _BESIDES: Mapping[EngineName, str] = {
     "three.js": "back faces cast, as by default (material.shadowSide)",
@@ -87,7 +87,8 @@ class LightOptions(NamedTuple):
     - `map`: its side in texels; `window`: how wide the map of a directional light is, in world units.
     - `depth`: the map's far plane less its near plane, in world units.
     - `angle`: half the angle of a spot light's cone, in degrees.
-    - `near`: the near plane of a spot or point light, and `distance`: from it, where settings hold; in world units.
+    - `near`: the near plane of a spot or point light; `distance`: the distance from the light at which settings are
+        valid; in world units.
     """
 
     light: LightKind = "directional"
@@ -104,7 +105,7 @@ class LightOptions(NamedTuple):
         return {name: value for name, value in self._asdict().items() if name != "light"}
 
     def completed(self, engine: EngineName) -> "LightOptions":
-        """With what the engine has for a directional light where options are left out."""
+        """The options with the engine's values for a directional light in place of options that are left out."""
         if self.light != "directional":
             return self
         usual = _USUAL[engine]
@@ -116,7 +117,7 @@ class LightOptions(NamedTuple):
         )
 
     def check(self, engine: EngineName) -> None:
-        """**Raises** `ValueError` for options that are missing, of another light, or out of their range."""
+        """**Raises** `ValueError` for options that are missing, belong to another light, or are out of their range."""
         needed, given, example = _NEEDED[self.light], self.given, _EXAMPLES[self.light]
         missing = [f"--{name}" for name in needed if given[name] is None]
         if missing:
@@ -137,7 +138,7 @@ class LightOptions(NamedTuple):
                 )
 
     def made(self) -> tuple[AbstractLight, float]:
-        """The light, and the distance at which settings hold, in world units."""
+        """The light, and the distance at which settings are valid, in world units."""
         depth, distance = self.depth or 0.0, self.distance or 1.0
         down, origin = (0.0, -1.0, 0.0), (0.0, 0.0, 0.0)
         if self.light == "directional":
@@ -164,7 +165,7 @@ def print_defaults(
     - `filter`, `radius`: a filter's type and its radius in texels. The filter's bias is printed as a part of a
         configuration.
     - `engine`: an engine whose settings are printed instead, for its default filter.
-    - `of_map`: the engine's light and map; for a directional light by default the engine's own.
+    - `of_map`: the engine's light and map; by default the engine's own directional light.
 
     **Raises** `ValueError` for a filter without a rule, and for options that do not go together.
     """
@@ -192,7 +193,7 @@ def print_defaults(
 def _refuse(needed: str, of: str, given: Mapping[str, float | None]) -> None:
     names = [f"--{name}" for name, value in given.items() if value is not None]
     if names:
-        raise ValueError(f"{names[0]} is given without --{needed}; expected both, since it is of {of}")
+        raise ValueError(f"{names[0]} is given without --{needed}; expected both, since it belongs to {of}")
 
 
 # --- Filters ---
@@ -217,9 +218,9 @@ def _print_all(console: Console) -> None:
             f"with a bias from the receiver's plane: constant {rules.PLANE_CONSTANT:g} (1 + r); "
             f"{_sentence(rules.PLANE_WORTH)}",
             f"price: the error divided by the error of the best bias for the scene, the mean over {rules.SCENES} "
-            "scenes; each kind of scene was left out of the search for the rule that it tests; own price: the same in "
-            "the scenes of the search; acne, leaks: the share of scenes where more than a thousandth of the light is "
-            "wrongly missing, or wrongly present",
+            "scenes; each kind of scene was left out of the search for the rule that it tests; own price: the same, in "
+            "the scenes in which the rule was searched; acne, leaks: the share of scenes where more than a thousandth "
+            "of the light is wrongly missing, or wrongly present",
             "for a filter: diffshadow defaults --filter random_disk --radius 3",
             f"for an engine: {_EXAMPLES['directional']}",
         ],

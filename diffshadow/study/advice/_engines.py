@@ -43,7 +43,7 @@ def engine_advice(
 
     Engines whose shadows this package draws are fitted in their own units. Other engines are fitted as shadow maps with
     the engine's kernels and profile of the normal offset, and the result is converted. The scene is drawn first, since
-    an engine's units depend on it. Faces cast as in the configuration.
+    an engine's units depend on it. The same faces cast as in the configuration.
 
     **Arguments:**
 

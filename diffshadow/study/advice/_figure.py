@@ -12,7 +12,7 @@ from ._candidates import Candidate, front
 def draw_front(candidates: Sequence[Candidate], chosen: Candidate) -> Any:
     """Errors against times on logarithmic scales: a colour for each bias, a marker for each filter and size of map.
 
-    The line joins the front of the candidates that nothing beats in both. A ring marks the recommended one.
+    The line joins the candidates that no other candidate beats in both. A ring marks the recommended one.
     """
     figure, (axes,) = style.figure(7.2, 4.2)
     style.chart(axes, "time of a view, relative to the fastest", "RMSE [visibility]")

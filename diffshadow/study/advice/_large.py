@@ -90,12 +90,12 @@ def _explained(config: Config, name: str, value: float, one: float, noise: float
         return says
     path = config.scene.meshes[asking.mesh].path
     radius = getattr(config.filter, "radius", None) if name != _OF_ENGINES else None
-    width = f"; the filter's radius of {radius:.3g} texels asks for more, too" if radius and radius > 1 else ""
-    asks = "asks" if asking.darker == 1 else "ask"
+    width = f"; the filter's radius of {radius:.3g} texels needs a larger one, too" if radius and radius > 1 else ""
+    asks = "needs" if asking.darker == 1 else "need"
     return (
-        f"{says} {counted(asking.darker, 'pixel')} of {asking.lit:,} in light {asks} for more, and would lose more "
-        f"than a tenth of it, {asking.share:.0%} of that on scene.meshes.{asking.mesh} ({path}), where the light meets "
-        f"surfaces at {asking.degrees:.0f}° (median){width}."
+        f"{says} {counted(asking.darker, 'pixel')} of {asking.lit:,} in light {asks} a larger bias: with the usual "
+        f"one, each would lose more than a tenth of its light, {asking.share:.0%} of it on "
+        f"scene.meshes.{asking.mesh} ({path}), where the light meets surfaces at {asking.degrees:.0f}° (median){width}."
     )
 
 

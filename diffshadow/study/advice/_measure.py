@@ -88,7 +88,7 @@ def _drawn(config: Config) -> tuple[Any, Views]:
 
 
 def unexplained_by(config: Config) -> list[str]:
-    """What to say first of a fitted technique that does not explain its references; empty if it explains them."""
+    """The first sentence on a fitted technique that does not explain its references; empty if it explains them."""
     technique, views = _drawn(config)
     drawn = views.drawn[: views.seen]
     found = unexplained(fitted_images(views, drawn, [visibility_of(technique, each) for each in drawn], drawn))
@@ -102,12 +102,12 @@ def least_bias_for(config: Config, name: str, most: float) -> LeastBias:
     """How large the bias `name` has to be for a rate of false shadow of at most `most`, up to its bound.
 
     It is searched for, away from 0, from the value in `config`, by steps and then by bisection. All other numbers stay
-    the same. A larger bias may have more false shadow: a large normal offset does. Errors are over the validation, or
+    the same. A larger bias may have more false shadow, as a large normal offset has. Errors are over the validation, or
     over what the fit sees if there is none.
 
     **Arguments:**
 
-    - `config`: of the fitted technique.
+    - `config`: configuration of the fitted technique.
     - `name`: a number of the bias, such as `"bias.constant"`.
     """
     technique, drawn = judged(config)

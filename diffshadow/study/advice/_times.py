@@ -41,7 +41,8 @@ def times_of(rounds: Float[HostArray, "rounds techniques 2"], programs: Sequence
     **Arguments:**
 
     - `rounds`: (rounds, techniques, 2), seconds for the map and for the look-up.
-    - `programs`: (techniques,), what each technique's program depends on. Those with equal ones share their times.
+    - `programs`: (techniques,), what each technique's program depends on. Techniques with equal programs share their
+        times.
     """
     members = {program: [i for i, other in enumerate(programs) if other == program] for program in programs}
     totals = {program: np.median(rounds[:, among].sum(axis=2), axis=1) for program, among in members.items()}
@@ -85,7 +86,7 @@ class Watch:
         self._own, self._all = _own_seconds(), _busy_seconds()
 
     def others(self) -> float | None:
-        """The part of all processors' time that other processes used; `None` if the system does not tell."""
+        """The part of all processors' time that other processes used; `None` if the system does not report it."""
         busy = _busy_seconds()
         if busy is None or self._all is None:
             return None

@@ -18,12 +18,13 @@ _NOISY = 0.1
 class Findings(NamedTuple):
     """What a verdict is about.
 
-    - `candidates`: all of them; `chosen`: the recommended one; `within`: the fraction that it may be worse.
-    - `over`: what errors are measured over, in words.
+    - `candidates`: all candidates; `chosen`: the recommended candidate; `within`: by which fraction its error may
+        exceed the least.
+    - `over`: the views that errors are measured over, in words.
     - `noise`: the reference's own RMSE; `None` if unknown.
     - `large`: sentences on recommended biases that are far larger than usual.
-    - `least_biases`: by label, for other biases with a single fitted number: its unit, and the value at which they have
-        no more false shadow than the chosen one.
+    - `least_biases`: for other biases with a single fitted number, by label: the number's unit, and the value at which
+        the bias has no more false shadow than the chosen bias.
     """
 
     candidates: Sequence[Candidate]
@@ -36,11 +37,11 @@ class Findings(NamedTuple):
 
     @property
     def same_rmse(self) -> float:
-        """The least difference of RMSEs that is called one."""
+        """The least difference of RMSEs that counts as a difference."""
         return self.noise or 0.0
 
     def like_chosen(self, *same: str) -> list[Candidate]:
-        """The candidates that share these fields with the chosen one, which comes first."""
+        """The candidates that have the same values of these fields as the chosen candidate, which comes first."""
         key = lambda each: [getattr(each, name) for name in same]
         others = [each for each in self.candidates if key(each) == key(self.chosen) and each.id != self.chosen.id]
         return [self.chosen, *others]

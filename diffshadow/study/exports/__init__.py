@@ -1,1 +1,1 @@
-"""Techniques for renderers of one's own."""
+"""Techniques for your own renderer."""

@@ -38,7 +38,7 @@ _FUNCTION = (
 
 
 class Compared(NamedTuple):
-    """What a page shows beside each other, by the name of each: a setting, and the one that it is compared with."""
+    """The names of the two settings that a page compares, and the configuration of the first."""
 
     start: str
     end: str
@@ -46,10 +46,10 @@ class Compared(NamedTuple):
 
 
 def compared_with(config: Config, file: Path, overrides: Sequence[str]) -> Compared:
-    """Of the configuration of a fit, the setting that the fit started from; of any other, the defaults of the numbers
-    that can be fitted.
+    """The setting to compare with. For the configuration of a fit, it is the setting that the fit started from; for any
+    other configuration, the defaults of the numbers that can be fitted.
 
-    **Arguments:** `file`, `overrides`: that `config` was loaded from.
+    **Arguments:** `file`, `overrides`: what `config` was loaded from.
     """
     if file.name == FITTED_FILE:
         before = load_config(file.parent / CONFIG_FILE, [])
@@ -101,9 +101,10 @@ def write_shader_page(
 
     **Arguments:**
 
-    - `compared`: the setting that is shown beside it. If it gives the same shader, the page shows one picture.
+    - `compared`: the setting that is shown beside the scene's. If both settings give the same shader, the page shows
+        one picture.
 
-    **Returns** remarks on what the page shows otherwise than a render.
+    **Returns** remarks on how the page differs from a render.
     """
     shown = {compared.start: compared.config, compared.end: config}
     texts = {

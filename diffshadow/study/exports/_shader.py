@@ -79,7 +79,7 @@ def export_shader(
 
     - `folder`: made if it does not exist. Files of an earlier export are replaced.
     - `origin`: where the values come from, for the README.
-    - `compared`: for a page that draws the scene: what it shows beside it. None for no page.
+    - `compared`: the setting that a page shows beside the scene's; `None` for no page. None for no page.
 
     **Returns** the folder.
 

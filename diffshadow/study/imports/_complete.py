@@ -17,9 +17,9 @@ _LAYERS = (1 << 32) - 1
 
 
 def completed(scene: io.SceneFile, camera: str | None, light: str | None, remarks: list[str]) -> io.SceneFile:
-    """`scene` with a camera and a light, unless it has them or they are named; each that is added is remarked.
+    """`scene` with a camera and a light, if it has none and none is named. A remark says what was added.
 
-    A scene without camera or light that stands on nothing gets a ground, too: its shadow would fall on nothing.
+    A scene without camera or light gets a ground too if it has none, since its shadow would fall on nothing.
 
     **Raises** `ValueError` if it has no mesh that casts shadows.
     """

@@ -49,14 +49,14 @@ def import_scene(
     **Returns** the path of the configuration.
 
     **Raises** `FileError` for a file that cannot be read or written, or a configuration that exists already,
-    `ValueError` for a scene without meshes, or whose lights cast no shadows, and `ConfigError` for one that no
-    configuration can hold.
+    `ValueError` for a scene without meshes, or without a light that casts shadows, and `ConfigError` for a scene that
+    no configuration can describe.
     """
     file = Path(path)
     if file.is_dir():
         raise io.FileError(
-            f"{file} is a folder; expected a scene's or a mesh's file; of a run's folder, fit, render and convert take "
-            "the configuration"
+            f"{file} is a folder; expected the file of a scene or a mesh; to use a run's folder, give it to fit, "
+            "render or convert"
         )
     name = _plain_name(file.stem)
     folder = Path(name) if output is None else Path(output)

@@ -18,7 +18,8 @@ _BESIDE = 0.25
 
 
 def distance_lit(meshes: Sequence[io.SceneMesh], position: Float[HostArray, "3"]) -> float:
-    """The median distance of the meshes' surfaces from `position`, in world units; 1 if they lie in one point there."""
+    """The median distance of the meshes' surfaces from `position`, in world units; 1 if all surfaces lie at
+    `position`."""
     corners = np.concatenate([mesh.vertices[mesh.faces] for mesh in meshes])
     distance = np.linalg.norm(corners.mean(axis=1) - position, axis=-1)
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=-1)
@@ -28,7 +29,8 @@ def distance_lit(meshes: Sequence[io.SceneMesh], position: Float[HostArray, "3"]
 
 
 def mesh_of(meshes: Sequence[io.SceneMesh], position: Float[HostArray, "3"]) -> io.SceneMesh | None:
-    """The smallest mesh at `position` that shines, and is small beside the distance to what the lamp lights."""
+    """The smallest mesh at `position` that shines, if it is small compared with the distance to what the lamp
+    lights."""
     most = _LARGEST * distance_lit(meshes, position)
     found = [mesh for mesh in meshes if mesh.emits and _is_around(mesh, position) and max(_sides(mesh)) <= most]
     return min(found, key=_radius, default=None)

@@ -45,8 +45,8 @@ class Chosen(NamedTuple):
 
 
 def choose(scene: io.SceneFile, camera: str | None, light: str | None, remarks: list[str]) -> Chosen:
-    """The camera and light of these names, by default the first, and what they see and light. Adds what it leaves out
-    to `remarks`.
+    """The camera and light of these names, by default the first, and what they see and light. Adds a remark on each
+    part that is left out to `remarks`.
 
     **Raises** `ValueError` if there is no such camera or light, or no mesh.
     """
@@ -76,7 +76,7 @@ def check_casters(scene: io.SceneFile, meshes: Sequence[io.SceneMesh]) -> None:
         mend = remedies.mesh
         if scene.left_out:
             found += f", and {scene.left_out} left out"
-            mend = f"mend what the notes say of what is left out, or {mend}"
+            mend = f"mend what is left out, as the notes say, or {mend}"
         raise ValueError(f"the scene has no mesh that casts shadows ({found}); expected one: {mend}")
 
 
@@ -114,8 +114,8 @@ def settings_of(
     shadow_type: ShadowType,
     remarks: list[str],
 ) -> dict[str, Any]:
-    """The configuration of `chosen`, with meshes in `files` and their `textures`. Adds to `remarks` what is
-    otherwise than in the scene.
+    """The configuration of `chosen`, with meshes in `files` and their `textures`. Adds to `remarks` what differs from
+    the scene.
 
     **Arguments:**
 

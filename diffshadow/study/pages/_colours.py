@@ -42,7 +42,7 @@ def tinted(image: Colours, layers: shadow.LayerFigure) -> Colours:
 
 
 def on_surface(image: Image | Colours, mask: Pixels) -> Colours:
-    """`image` where there is a surface, and the colour of none elsewhere."""
+    """`image` where there is a surface, and the colour for no surface elsewhere."""
     image = image if image.ndim > 2 else image[..., None]
     return np.where(mask[..., None], image, to_rgb(style.NO_SURFACE))
 

@@ -34,8 +34,8 @@ def print_run(console: Console, record: records.FolderRecord, seconds: float, re
 
     **Arguments:**
 
-    - `seconds`: that it took in all.
-    - `result`: of a fit of numbers, of which no record holds how it chose its values.
+    - `seconds`: how long it took in all.
+    - `result`: the result of a fit of numbers without a record of how it chose its values.
     """
     if record.said is not None:
         print_lines(console, [record.said.sentence, *record.said.remedies], warn=not record.is_explained)
@@ -120,7 +120,7 @@ def print_validation(console: Console, views: int, errors: records.BeforeAndAfte
 
 
 def print_render(console: Console, record: records.RenderRecord) -> None:
-    """Prints the errors of each of several lights' images, and those over all lights."""
+    """Prints the errors of each light's image, and the errors over all lights, if there are several lights."""
     all_lights, lights = cells(record.metrics.errors), record.metrics.lights
     table = Table("", title=words(record.name), title_justify="left")
     columns = {"error": all_lights}

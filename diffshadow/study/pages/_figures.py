@@ -156,7 +156,7 @@ def _distances(shadow_map: shadow.ShadowMap | shadow.EngineMap) -> tuple[Float[A
 
 
 def map_figure(technique: Any, from_light: Any) -> shadow.MapFigure | None:
-    """How the layout of `technique` names the layers of a map that it drew; none if it names none."""
+    """The layout's names of the layers of a map that `technique` drew; none if the layout has no names."""
     return technique.layout.map_figure(from_light.light) if isinstance(technique, shadow.ShadowMapping) else None
 
 
@@ -199,8 +199,8 @@ def write_map(
     cmap: str = "gray",
     **limits: float,
 ) -> None:
-    """Writes a light's map (h, w), or the layers of one, (l, h, w), with axes in texels. Layers are `named` as the
-    layout says, or otherwise as the faces of a point light's map."""
+    """Writes a light's map (h, w), or the layers of one, (l, h, w), with axes in texels. Layers have the names `named`,
+    or otherwise the names of the faces of a point light's map."""
     names = FACES
     if named is not None and named.layers is None:
         values = _atlas(values, named.used)
@@ -274,7 +274,7 @@ def convergence(runs: Sequence[tuple[str, Fit]]) -> Figure:
 
 
 def error_label(runs: Sequence[Fit]) -> str:
-    """The axis of the errors of `history` of these fits."""
+    """The axis for the errors in `history` of these fits."""
     own = {run.record.solver.is_own_loss for run in runs}
     return "loss" if own == {True} else "RMSE [visibility]" if own == {False} else "RMSE [visibility], or loss"
 
@@ -333,7 +333,7 @@ def parameters(run: Fit) -> Figure:
 
 
 def profiles(run: Fit) -> Figure:
-    """The error along each parameter over the best, with its intervals and the result."""
+    """The error along each parameter divided by the best error, with intervals and the result."""
     record = run.record
     found, fractions = list(record.profiles.items())[:_MAX_PARAMETERS], record.widths
     columns = min(len(found), 3)

@@ -18,7 +18,8 @@ _OTHERS = ", ".join(name for name in ENGINES if name != _FIRST_ENGINE)
 
 
 def for_engine(source: Path | str, overrides: Sequence[str] = (), engine: EngineName | None = None) -> Command:
-    """The command that recommends what an engine has, for the views of `source`; without one, an engine to replace."""
+    """The command that recommends settings of an engine for the views of `source`; without an engine, the command has a
+    placeholder."""
     name = engine or _FIRST_ENGINE
     others = "" if engine else f"; or for {_OTHERS}"
     why = f"Find the best bias and filter that {ENGINES[name]} has, with the code to paste{others}."
@@ -44,8 +45,8 @@ def after_run(folder: Path, record: FolderRecord, technique: str | None = None) 
 
     **Arguments:**
 
-    - `folder`: of the run, with its files; `record`: of the run.
-    - `technique`: that was fitted to visibility or rendered; none without a configuration.
+    - `folder`: the run's folder, with its files; `record`: the run's record.
+    - `technique`: the technique that was fitted to visibility or rendered; none without a configuration.
     """
     place, is_fit, is_fitted = final_folder(folder), isinstance(record, FitRecord), (folder / FITTED_FILE).is_file()
     again = []
@@ -104,7 +105,7 @@ def after_sweep(folder: Path, kind: str, best: Path | None, command: str) -> lis
 
     **Arguments:**
 
-    - `folder`: of the sweep; `kind`: `"fit"` or `"render"`.
+    - `folder`: the sweep's folder; `kind`: `"fit"` or `"render"`.
     - `best`: the folder of the run with the least RMSE, if there is one.
     - `command`: the sweep's command.
     """
@@ -114,8 +115,8 @@ def after_sweep(folder: Path, kind: str, best: Path | None, command: str) -> lis
 
 
 def after_defaults(filter: str | None, radius: float | None, engine: EngineName | None) -> list[Command]:
-    """The commands after rules of thumb, of the `filter` and the `engine` that were asked for. The package's own scene
-    stands for the user's."""
+    """The commands after rules of thumb for the `filter` and the `engine`. The package's own scene is a placeholder for
+    the user's scene."""
     overrides = [] if filter is None else [f"filter.type={filter}"]
     overrides += [] if radius is None else [f"filter.radius={radius:g}"]
     why = "Fit the bias to a scene; in place of builtin:quickstart, give your mesh file."

@@ -41,7 +41,8 @@ class Picture(NamedTuple):
 def picture(
     name: str, image: HostArray, note: str = "", *, title: str = "", colours: str = "gray", limit: float | None = None
 ) -> Picture:
-    """Visibility (h, w), a difference (h, w) from `-limit` to `limit`, or colours (h, w, 3); row 0 at the bottom."""
+    """Visibility (h, w), a difference (h, w) from `-limit` to `limit`, or colours (h, w, 3); row 0 is the bottom
+    row."""
     small = _smaller(image)
     low, high = (0.0, 1.0) if limit is None else (-limit, limit)
     height, width = small.shape[:2]

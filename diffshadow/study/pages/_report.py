@@ -56,7 +56,7 @@ def write_report(run: StoredRun[Any], form: str | None = None, dpi: int = style.
 
 
 class View[Of: records.FolderRecord]:
-    """What the page of a run shows. Texts are as they stand on the page."""
+    """What the page of a run shows. Texts are written as on the page."""
 
     template: ClassVar[str]
 
@@ -66,7 +66,7 @@ class View[Of: records.FolderRecord]:
 
     @property
     def summary(self) -> list[str]:
-        """The verdict on the fit, sentence by sentence; of an older run that has none, its errors."""
+        """The verdict on the fit, sentence by sentence; for an older run without a verdict, its errors."""
         said = self.record.said
         if said is None:
             return self.without_verdict
@@ -79,7 +79,7 @@ class View[Of: records.FolderRecord]:
 
     @property
     def environment(self) -> list[tuple[str, Any, str]]:
-        """Name and value of what the run depended on besides its settings."""
+        """Name and value of everything that the run depended on, apart from its settings."""
         seed = {} if self.record.seed is None else {"seed": self.record.seed}
         return [(name, value, "") for name, value in {**self.record.versions, **seed}.items()]
 
@@ -101,7 +101,7 @@ class View[Of: records.FolderRecord]:
 class FittedNumber(NamedTuple):
     """A parameter before and after a fit; for poses and pictures also the truth and the standard deviation.
 
-    - `best`, `intervals`: where the error is least, and where it is close to that.
+    - `best`, `intervals`: the value with the least error, and the intervals in which the error is close to the least.
     """
 
     name: str
@@ -171,7 +171,7 @@ class LightPictures(NamedTuple):
 
 
 class VisibilityView[Of: records.VisibilityRecord](View[Of]):
-    """Of a fit to images of visibility, or a render."""
+    """The report of a fit to images of visibility, or of a render."""
 
     template = "report.html.j2"
     run: VisibilityRun[Any]
@@ -205,7 +205,7 @@ class VisibilityView[Of: records.VisibilityRecord](View[Of]):
 
     @cached_property
     def by_light(self) -> list[LightRow]:
-        """The errors of each light or view; of views, the worst first."""
+        """The errors of each light or view; views are sorted, the worst first."""
         rows = []
         for each, light in zip(self.run.lights, self.record.metrics.lights, strict=True):
             first, last = each.errors[0], each.errors[-1]
@@ -216,7 +216,7 @@ class VisibilityView[Of: records.VisibilityRecord](View[Of]):
 
     @cached_property
     def lights(self) -> list[LightPictures]:
-        """The pictures of each light or view that has some."""
+        """The pictures of each light or view that has pictures."""
         return [self._light(light) for light in self.run.shown]
 
     def _light(self, light: LightImages) -> LightPictures:
@@ -262,7 +262,7 @@ class VisibilityView[Of: records.VisibilityRecord](View[Of]):
 
 
 class RenderView(VisibilityView[records.RenderRecord]):
-    """Of a render."""
+    """The report of a render."""
 
     @property
     def summary(self) -> list[str]:
@@ -274,7 +274,8 @@ class RenderView(VisibilityView[records.RenderRecord]):
 
     @property
     def aliasing(self) -> list[tuple[str, str, list[str]]]:
-        """Figures of how large texels are on the screen, for each light that has any: its key, their name and texts."""
+        """Figures of the size of texels on the screen, for each light that has such figures: the light's key, and the
+        name and texts of the figures."""
         rows = []
         for light in self.record.metrics.lights:
             if light.aliasing is not None:
@@ -286,7 +287,7 @@ class RenderView(VisibilityView[records.RenderRecord]):
 
 
 class FitView(VisibilityView[records.FitRecord]):
-    """Of a fit to images of visibility."""
+    """The report of a fit to images of visibility."""
 
     few_parameters: ClassVar = figures.FEW_PARAMETERS
 
@@ -302,7 +303,7 @@ class FitView(VisibilityView[records.FitRecord]):
 
     @property
     def validation(self) -> list[ErrorRow]:
-        """Each error before and after the fit over the views that it has not seen."""
+        """Each error before and after the fit, over the views that the fit has not seen."""
         found = self.record.metrics.validation
         if found is None:
             return []
@@ -329,7 +330,7 @@ class FitView(VisibilityView[records.FitRecord]):
 
     @property
     def loss(self) -> str:
-        """What tables call the losses of the fit."""
+        """The name of the fit's losses in tables."""
         return "loss" if self.record.solver.is_own_loss else "RMSE"
 
     def error(self, loss: float | None) -> str:
@@ -356,7 +357,7 @@ class FitView(VisibilityView[records.FitRecord]):
 
 
 class PictureView(View[records.PictureRecord]):
-    """Of a fit to a picture."""
+    """The report of a fit to a picture."""
 
     template = "picture.html.j2"
     titles: ClassVar = {"reference": "Reference", "before": "Before", "after": "After"}
@@ -420,7 +421,7 @@ class PictureView(View[records.PictureRecord]):
 
 
 class ShapeView(View[records.ShapeRecord]):
-    """Of a fit of a shape."""
+    """The report of a fit of a shape."""
 
     template = "shape.html.j2"
 

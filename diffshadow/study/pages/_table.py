@@ -56,7 +56,7 @@ def words(text: str) -> Text:
 
 
 def noise_text(noise_floor: float | None) -> str:
-    """A phrase on the error of the reference itself."""
+    """A phrase about the error of the reference itself."""
     if noise_floor is None:
         return "the reference's own error is unknown, since it was given, not traced"
     return f"the reference's own noise is {noise_floor:.4f} RMSE"
@@ -80,7 +80,7 @@ def within_text(within: float) -> str:
 
 
 def interval_text(*ends: End) -> str:
-    """From where to where; an end is marked if it is a parameter's bound."""
+    """The two ends of an interval; an end is marked if it is a parameter's bound."""
     return " to ".join(f"{end.value:.3g}{' (bound)' if end.is_bound else ''}" for end in ends)
 
 

@@ -60,7 +60,7 @@ def read_json(file: Path) -> Any:
 
 
 def json_of(stored: Any) -> bytes:
-    """The content of a JSON file that holds `stored`."""
+    """The content of a JSON file that stores `stored`."""
     return (json.dumps(plain(stored), indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode()
 
 
@@ -83,8 +83,8 @@ def write_record(folder: Path, record: Record) -> None:
 def read_record(folder: Path) -> Record:
     """The record in `folder`.
 
-    **Raises** `FileError` if there is none, if it is damaged, which names its first invalid key, or if it is not of a
-    fit, a render, a sweep or a recommendation.
+    **Raises** `FileError` if there is no such file, if it is damaged (the message names its first invalid key), or if
+    it is not the record of a fit, a render, a sweep or a recommendation.
     """
     if not folder.is_dir():
         what = "is a file" if folder.exists() else "does not exist"

@@ -26,7 +26,7 @@ _LONGEST_FILE = 80
 class _Fault(NamedTuple):
     """Why a run cannot be written to its folder.
 
-    - `key`: of the configuration, which sets that part of the path; `what`: the message.
+    - `key`: key of the configuration, which sets that part of the path; `what`: the message.
     - `otherwise`: which keys to change instead of the files that are there.
     """
 
@@ -51,8 +51,8 @@ def folder_of(config: Config, suffix: str = "") -> Path:
 def checked_folder(path: str | os.PathLike[str]) -> Path:
     """The folder at `path`, for a run without a configuration.
 
-    **Raises** `FileError` if it cannot be written, or if something other than a run is there; `TypeError` for what is
-    no path.
+    **Raises** `FileError` if it cannot be written, or if something other than a run is there; `TypeError` if `path` is
+    not a path.
     """
     if not isinstance(path, str | os.PathLike):
         raise TypeError(f"the folder is of type {type(path).__name__}; expected a path, such as 'runs/mine'")

@@ -35,8 +35,8 @@ def absent(default: Any = None) -> Any:
 class Part(BaseModel):
     """A part of a record, as it is made, written to `result.json` and read again.
 
-    Values are not coerced, and every number is finite: one that is not becomes none. Unknown keys are ignored, since a
-    later version or a user may have added them.
+    Values are not coerced, and every number is finite: numbers that are not finite become none. Unknown keys are
+    ignored, since a later version or a user may have added them.
     """
 
     model_config = ConfigDict(extra="ignore", strict=True, frozen=True, allow_inf_nan=False)
@@ -70,7 +70,7 @@ def plain(value: Any) -> Any:
 
 
 def check_keys(key: str, numbers: Mapping[str, Any], of: str, expected: Mapping[str, Any]) -> None:
-    """**Raises** a fault unless `numbers`, which stand at `key`, have the keys of those that stand at `of`."""
+    """**Raises** a fault unless the `numbers` at `key` have the same keys as the numbers at `of`."""
     if list(numbers) != list(expected):
         theirs = short(", ".join(expected) or "nothing")
         has = f"has the keys {short(', '.join(numbers) or 'nothing')}"

@@ -29,7 +29,7 @@ UNEXPLAINED, BEST_ALREADY = "unexplained", "best already"
 
 
 class Errors(Part):
-    """Errors of one state, over all lights; `flip`, of the shaded picture, is none if it was not measured."""
+    """Errors of one state, over all lights; `flip` is measured on the shaded picture, or none."""
 
     rmse: Fraction
     mae: Fraction
@@ -59,7 +59,7 @@ class Extents(Part):
 
 
 class Aliasing(Part):
-    """The size of texels on the screen, and its part that perspective causes."""
+    """The size of texels on the screen, and the part of it that perspective causes."""
 
     extent: Extents
     perspective: Extents
@@ -76,7 +76,7 @@ class RenderedLight(Part):
 
 
 class FittedLight(Part):
-    """A light or a view of a fit. `validation`: whether the fit has not seen it; none without a validation."""
+    """A light or a view of a fit. `validation`: true if the fit has not seen it; none without a validation."""
 
     light: str
     before: LightErrors
@@ -106,8 +106,8 @@ class FitMetrics(Part):
     """How far the images of a fit are from their references, over so many `pixels`.
 
     - `validation`: over the views that the fit has not seen.
-    - `shown`: of several views, the indices of those that have pictures, the worst first.
-    - `resolution`: (height, width) of the images, of a fit without a configuration.
+    - `shown`: the indices of the views that have pictures, the worst first; for several views only.
+    - `resolution`: (height, width) of the images, for a fit without a configuration.
     """
 
     compare: str
@@ -147,8 +147,8 @@ class Course(Part):
     """How a fit went.
 
     - `flat`: the parameters without a gradient.
-    - `is_own_loss`: whether losses are of a user's own loss; `initial_loss`: its value at the start, under the hard
-        compare. For poses it is none, since it is of blurred images, unlike the hard losses of the phases.
+    - `is_own_loss`: whether losses come from a user's own loss; `initial_loss`: its value at the start, under the hard
+        compare. For poses it is none, since it would compare blurred images, unlike the hard losses of the phases.
     """
 
     name: str = ""
@@ -180,8 +180,8 @@ class Start(Part):
 
 
 class Poses(Part):
-    """Of a fit of lights and meshes: the `truth` as far as it is known, how far the fit is from it, and how well the
-    image determines the values."""
+    """The result of a fit of lights and meshes: the `truth` as far as it is known, how far the fit is from the truth,
+    and how well the image determines the values."""
 
     truth: Numbers = {}
     error: Numbers = {}
@@ -242,7 +242,7 @@ class Verdict(Part):
     - `kind`: `"unexplained"` if it does not explain its references, `"best already"` if the start is as good as the
         result, `"cut short"` if the solver had too few steps to tell, `"nothing fitted"` if no parameter has a slope,
         and otherwise `"fitted"`.
-    - `sentence`: that in words, without a full stop.
+    - `sentence`: the verdict in words, without a full stop.
     - `remedies`: what to try, a sentence each.
     - `constant_rmse`: the least RMSE of constant images, if the references are not explained. Colours of pictures may
         be greater than 1.
@@ -255,7 +255,7 @@ class Verdict(Part):
 
 
 class Run(Part):
-    """What the records of all runs have. `warnings`: remarks, a sentence each; `seconds`: of its stages."""
+    """What the records of all runs have. `warnings`: remarks, a sentence each; `seconds`: times of its stages."""
 
     schema_version: Count = 0
     name: str = Field(min_length=1)
@@ -266,7 +266,7 @@ class Run(Part):
 
     @property
     def said(self) -> Verdict | None:
-        """The verdict on a fit; none for a render, and for the fit of an older version."""
+        """The verdict on a fit; none for a render, and none for a fit by an older version."""
         return getattr(self, "verdict", None)
 
     @property
@@ -276,7 +276,7 @@ class Run(Part):
 
 
 class RenderRecord(Run):
-    """Of a render."""
+    """The record of a render."""
 
     kind: Literal["render"] = "render"
     seed: Seed
@@ -285,7 +285,8 @@ class RenderRecord(Run):
 
 
 class NumbersRecord(Run):
-    """Of a fit of numbers. One that was made in Python has neither seed nor command, since it has no configuration."""
+    """Of a fit of numbers. A run that was made in Python has neither seed nor command, since it has no
+    configuration."""
 
     seed: Seed | None = absent()
     command: str | None = absent()
@@ -302,7 +303,7 @@ class NumbersRecord(Run):
 
 
 class FitRecord(NumbersRecord):
-    """Of a fit to images of visibility."""
+    """The record of a fit to images of visibility."""
 
     kind: Literal["fit"] = "fit"
     metrics: FitMetrics
@@ -377,7 +378,7 @@ class PictureMetrics(Part):
 
 
 class PictureRecord(NumbersRecord):
-    """Of a fit to a picture. `camera`: the fitted one's eye, target and up."""
+    """The record of a fit to a picture. `camera`: eye, target and up of the fitted camera."""
 
     kind: Literal["picture"] = "picture"
     encoding: Encoding
@@ -399,7 +400,7 @@ class Overlap(Part):
 
 
 class UnseenOverlap(Part):
-    """The same of the result under a light that the fit did not see."""
+    """The same for the result under a light that the fit did not see."""
 
     light: str
     rays: Fraction
@@ -431,14 +432,14 @@ class ShapeMetrics(Part):
 
 
 class ShapePhase(Part):
-    """A phase of a fit of a shape. `loss`: at its end, without a blur."""
+    """A phase of a fit of a shape. `loss`: the loss at the end of the phase, without a blur."""
 
     steps: Count
     loss: Positive
 
 
 class ShapeRecord(Run):
-    """Of a fit of a shape."""
+    """The record of a fit of a shape."""
 
     kind: Literal["shape"] = "shape"
     verdict: Verdict | None = None

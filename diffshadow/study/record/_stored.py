@@ -44,8 +44,8 @@ class StoredRun[Of: records.FolderRecord]:
     """A finished run.
 
     - `folder`: the run's folder.
-    - `record`: the content of `result.json`; `arrays`: those arrays of `arrays.npz` that figures are made from.
-    - `settings`: all settings, with their units; none of a fit made in Python.
+    - `record`: the content of `result.json`; `arrays`: the arrays of `arrays.npz` that figures are made from.
+    - `settings`: all settings, with their units; none for a fit made in Python.
     """
 
     folder: Path
@@ -59,7 +59,7 @@ class VisibilityRun[Of: records.VisibilityRecord](StoredRun[Of]):
 
     @cached_property
     def errors(self) -> list[tuple[str, records.Errors]]:
-        """Title and errors over all lights of each state, the result last."""
+        """Title and errors of each state over all lights, the result last."""
         return list(zip(_titles(self.record).values(), _errors_of(self.record.metrics), strict=True))
 
     @cached_property
@@ -86,7 +86,7 @@ class VisibilityRun[Of: records.VisibilityRecord](StoredRun[Of]):
 
     @cached_property
     def shown(self) -> list[LightImages]:
-        """The images that have pictures: of all lights, or of the worst views, the worst first."""
+        """The images that have pictures: all lights, or the worst views, the worst first."""
         shown = self.record.metrics.shown if isinstance(self.record, records.FitRecord) else None
         return self.lights if shown is None else [self.lights[i] for i in shown]
 
@@ -132,7 +132,7 @@ def stored_run(folder: Path, record: records.FolderRecord) -> Any:
 def stored(
     folder: Path, record: records.FolderRecord, arrays: Mapping[str, Any], config: Config | None
 ) -> StoredRun[Any]:
-    """The run in `folder`, or that is about to be written there."""
+    """The run in `folder`, or the run that is about to be written there."""
     kind: Any = VisibilityRun if isinstance(record, records.VisibilityRecord) else StoredRun
     found = {name: np.asarray(array) for name, array in arrays.items()}
     return kind(folder, record, found, [] if config is None else describe(config))

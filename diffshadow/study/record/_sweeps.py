@@ -10,8 +10,8 @@ from ._parts import Count, Fraction, Numbers, Part, Positive, Seconds, Single, a
 
 
 class ManyRuns(Part):
-    """What the records of sweeps and recommendations have. `runs`: how many there are; so many of them are `done` and
-    `failed`."""
+    """What the records of sweeps and recommendations have. `runs`, `done`, `failed`: the number of runs, of those that
+    are done, and of those that failed."""
 
     schema_version: Count = 0
     name: str = Field(min_length=1)
@@ -33,10 +33,11 @@ class SweepRecord(ManyRuns):
 class Candidate(Part):
     """A fitted technique.
 
-    - `id`: of its run; `bias`, `filter`: the labels of its entries; `resolution`: of its map, in texels.
-    - `values`: the fitted numbers, by the key that sets them; `units`: of these.
+    - `id`: the id of its run; `bias`, `filter`: the labels of its entries; `resolution`: the resolution of its map, in
+        texels.
+    - `values`: the fitted numbers, by the key that sets them; `units`: the units of these numbers.
     - `rmse`, `false_shadow`, `false_light`: its errors over the validation, or over what the fit sees if there is none.
-    - `fit_rmse`: over what the fit sees.
+    - `fit_rmse`: RMSE over what the fit sees.
     - `map_ms`, `lookup_ms`: milliseconds to draw the maps of one view and to look them up.
     - `ratio`: its time, relative to the fastest candidate's; `spread`: how far it may be off, as a fraction of it.
     - `front`: whether no other candidate is faster with as small an error.
@@ -106,7 +107,7 @@ class Advice(Part):
 
 
 class AdviseRecord(ManyRuns):
-    """Of a recommendation. `advice`: of all fits; none before they are done."""
+    """Of a recommendation. `advice`: advice from all fits; none before they are done."""
 
     kind: Literal["advise"] = "advise"
     advice: Advice | None = absent()
@@ -116,7 +117,7 @@ class Times(Part):
     """Times of a technique for one view with all its lights.
 
     - `map_ms`, `lookup_ms`: in milliseconds.
-    - `ratio`: its time over the fastest technique's.
+    - `ratio`: its time divided by the fastest technique's time.
     - `spread`: how far the ratio may be off to either side, as a fraction of it: half of the interval that contains the
         true median with a probability of 95 %.
     """
@@ -130,7 +131,7 @@ class Times(Part):
 class Load(Part):
     """How busy the machine was while techniques were timed.
 
-    - `others`: the part of all processors' time that other processes used; none if the system does not tell.
+    - `others`: the part of all processors' time that other processes used; none if the system does not report it.
     - `unevenness`: half of the interquartile range of the times of rounds, as a fraction of their median.
     """
 
@@ -139,9 +140,9 @@ class Load(Part):
 
 
 class LeastBias(Part):
-    """A bias that leaves no more false shadow than asked for.
+    """The least bias that keeps false shadow within a limit.
 
-    - `value`: the least such bias that was found, in its unit. If there is none, the one with the least false shadow.
+    - `value`: the bias that was found, in its unit. If none keeps the limit, the bias with the least false shadow.
     - `false_shadow`, `false_light`: its errors.
     """
 
@@ -151,8 +152,8 @@ class LeastBias(Part):
 
 
 class Measurements(Part):
-    """Of a recommendation: times of techniques by `ids` of their runs, how busy the machine was meanwhile, and biases
-    by pairs of these."""
+    """What a recommendation measures: times of techniques, by `ids` of their runs; how busy the machine was meanwhile;
+    and biases, by pairs of techniques."""
 
     ids: list[str]
     times: list[Times]

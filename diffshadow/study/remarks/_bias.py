@@ -28,7 +28,7 @@ _NUMBERS = ("constant", "slope", "normal_offset")
 class _Loss(NamedTuple):
     """What a mesh loses of its shadow to the bias.
 
-    - `mesh`: its index; `share`: of its shadow's area.
+    - `mesh`: its index; `share`: share of its shadow's area.
     - `shift`: by how much the bias moves what it shadows towards the light, and `texel`: the side of a texel there, in
       world units.
     - `across`, `along`: the mesh's narrowest side across the light and its length along it, in world units.
@@ -49,12 +49,12 @@ def bias_remarks(
     lit: Sequence[Scene],
     states: Sequence[Any],
 ) -> Iterator[str]:
-    """A sentence for each light under which casters lose much of their shadow, because the bias moves what they shadow
-    past them.
+    """A sentence for each light under which casters lose much of their shadow, because the bias moves the shadowed
+    surfaces in front of the casters.
 
     **Arguments:**
 
-    - `keys`, `lit`, `states`: of each light, the scene with it alone, and the technique's state for it.
+    - `keys`, `lit`, `states`: the key of each light, the scene with this light alone, and the technique's state for it.
     """
     if not isinstance(technique, shadow.ShadowMapping):
         return

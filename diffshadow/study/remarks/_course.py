@@ -7,10 +7,10 @@ import numpy as np
 from ...fit import FitResult, Outcome, PictureProblem
 
 CUT_SHORT = "max_steps reached"
-"""How a phase ends that has no steps left."""
+"""How a phase without further steps ends."""
 STILL_FALLING = 0.25
-"""Above this relative decrease in the last steps, a loss counts as still falling. Losses of poses change a little at
-every step, as pixels switch between lit and shadowed."""
+"""A loss counts as still falling if it fell by more than this fraction in the last steps. Losses of poses change a
+little at every step, as pixels switch between lit and shadowed."""
 # Up to this one, the last phase of a fit of a technique counts as done: its error fell by no more than half as much.
 _NEARLY_DONE = 0.01
 # Of fewer evaluations of the loss, a decrease does not tell whether more would follow: solvers reject some first steps.
@@ -20,13 +20,13 @@ _NO_MOVE = 1e-5
 
 
 def what_is_fitted(result: FitResult) -> str:
-    """What a fit is compared by, in words: an image of visibility, or a picture."""
+    """What a fit compares, in words: an image of visibility, or a picture."""
     return "picture" if any(isinstance(problem, PictureProblem) for problem in result.problems) else "image"
 
 
 def late_fall(losses: Sequence[float]) -> tuple[float, int] | None:
-    """The relative decrease of the loss of a phase in the last quarter of its steps, and the number of these steps;
-    none for fewer than two steps."""
+    """By which fraction a phase's loss fell in the last quarter of its steps, and the number of these steps; none if
+    there are fewer than two steps."""
     if len(losses) < 2:
         return None
     late = max(len(losses) // 4, 1)
@@ -47,7 +47,7 @@ def is_nearly_done(result: FitResult, phase: int) -> bool:
 
 
 def last_phase(result: FitResult) -> tuple[Outcome, int] | None:
-    """The phase that gave the result, or the last one where the start was better than all; none without phases."""
+    """The phase that gave the result, or the last phase if the start was better than all; none without phases."""
     if not result.phases:
         return None
     number = result.chosen if result.chosen >= 0 else len(result.phases) - 1

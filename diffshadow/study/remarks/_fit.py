@@ -30,8 +30,8 @@ def remarks(config: Config | None, result: FitResult, kind: str = "fitted") -> l
 
     **Arguments:**
 
-    - `config`: none of a fit that was made in Python, whose remarks name Python's settings.
-    - `kind`: of the verdict. Where the references are not explained, it does not matter where the values ended or
+    - `config`: the configuration; none for a fit that was made in Python, whose remarks name Python's settings.
+    - `kind`: kind of the verdict. Where the references are not explained, it does not matter where the values ended or
         why; nor where the start was the best.
     """
     if result.arrangement is None:
@@ -159,8 +159,8 @@ def pose_remarks(config: Config | None, result: FitResult, *, is_known: bool = T
 
     **Arguments:**
 
-    - `is_known`: whether the fit converged and explains the image. If not, nothing is said of how well it determines
-        the values.
+    - `is_known`: whether the fit converged and explains the image. If not, no sentence says how well the image
+        determines the values.
     """
     what = what_is_fitted(result)
     for name in result.flat:
@@ -172,7 +172,7 @@ def pose_remarks(config: Config | None, result: FitResult, *, is_known: bool = T
             yield f"the {what} hardly determines {group[0]}: other values of it fit as well"
         else:
             listed = f"{', '.join(group[:-1])} and {group[-1]}"
-            yield f"the {what} hardly determines {listed}: they can change together and fit as well"
+            yield f"the {what} hardly determines {listed}: they can change together without a change of the error"
     if result.enlargements:
         yield f"memory for silhouettes was enlarged {result.enlargements} times during the fit; each time recompiles"
 
@@ -207,7 +207,7 @@ def _is_obeyed(config: Config, name: str) -> bool:
 
 
 def shape_remarks(result: FittedShape) -> Iterator[str]:
-    """A sentence if the error still fell at the end of the phase that gave the result."""
+    """Warns if the error still fell at the end of the phase that gave the result."""
     found = late_fall([loss for phase, loss in result.history if phase == result.chosen])
     if found is not None and found[0] > STILL_FALLING:
         yield (

@@ -13,7 +13,7 @@ def layout_remarks(
 ) -> Iterator[str]:
     """A sentence for each light and each remark of the layout of `technique`, if it has one.
 
-    **Arguments:** `keys`, `states`: of each light, and the technique's state for it.
+    **Arguments:** `keys`, `states`: the key of each light, and the technique's state for it.
     """
     if not isinstance(technique, shadow.ShadowMapping):
         return
@@ -23,7 +23,7 @@ def layout_remarks(
 
 
 def frames_remarks(frames: Sequence[Config]) -> Iterator[str]:
-    """A sentence if stabilized cascades are not stable from one of `frames` to the next, although they could be."""
+    """Warns if stabilized cascades are not stable from one of `frames` to the next, although they could be."""
     first = frames[0]
     technique, camera = first.technique, first.scene.camera
     if not (isinstance(technique, Cascades) and technique.stabilize) or technique.depths == "surface":

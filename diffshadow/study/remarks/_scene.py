@@ -37,9 +37,9 @@ _NO_AREA = 1e-6
 def scene_remarks(
     config: Config, technique: shadow.AbstractTechnique, lit: Sequence[Scene], surface: Surface
 ) -> Iterator[str]:
-    """A sentence, with the likely cause, for each mesh that covers no pixel and casts no shadow into the image, for one
-    that is mostly outside of it, for each mesh around a light that hides all of it, and for each open mesh that loses
-    its shadow by the technique's choice of sides.
+    """Warns of meshes, with the likely cause: a mesh that covers no pixel and casts no shadow into the image; a mesh
+    that is mostly outside the picture; a mesh around a light that hides all of its light; and an open mesh that loses
+    its shadow because of the sides that cast.
 
     **Arguments:**
 
@@ -80,7 +80,7 @@ def _cause(mesh: Mesh, others: Sequence[Mesh], camera: geometry.AbstractCamera, 
 class Framed(NamedTuple):
     """A mesh that leaves the picture.
 
-    - `name`: its key and path; `number`: among the meshes.
+    - `name`: its key and path; `number`: its number among the meshes.
     - `share`: the part of its surface that lies in the picture.
     - `is_around`: whether the camera is inside its bounding box.
     """
@@ -91,7 +91,7 @@ class Framed(NamedTuple):
     is_around: bool
 
     def words(self, scene: Scene) -> tuple[str, str]:
-        """What leaves the picture, and how to mend it."""
+        """The part of a mesh that lies outside the picture, and how to mend it."""
         mesh, camera = scene.meshes[self.number], scene.camera
         low, high = np.asarray(mesh.bounds, np.float64)
         extent = " × ".join(f"{side:.3g}" for side in high - low)
@@ -103,7 +103,7 @@ class Framed(NamedTuple):
 
 
 def framing_remarks(config: Config, scene: Scene, surface: Surface) -> Iterator[str]:
-    """A sentence if a mesh that the picture is of is mostly outside of it."""
+    """Warns if a mesh that should be in the picture is mostly outside it."""
     framed = _framed(config, scene, surface)
     # In a room, most is outside.
     if framed and not framed.is_around and not _is_room(scene, framed.number, surface, _numbers(scene)):
@@ -114,7 +114,7 @@ def framing_remarks(config: Config, scene: Scene, surface: Surface) -> Iterator[
 def dark_scene(
     config: Config, lit: Sequence[Scene], surface: Surface, pixels: Sequence[Bool[HostArray, "h w"]]
 ) -> str | None:
-    """The error message for a scene whose lights reach nothing that counts; `None` if one does.
+    """The error message for a scene in which no light reaches a pixel that counts; `None` if one does.
 
     **Arguments:**
 
@@ -222,8 +222,8 @@ class _Lost(NamedTuple):
 
 
 def side_remarks(config: Config, technique: shadow.AbstractTechnique, lit: Sequence[Scene]) -> Iterator[str]:
-    """A sentence for each open mesh without a shadow, or without a part of it, since the faces that are turned to the
-    light, or the others, do not cast. It names the key that says so.
+    """Warns of each open mesh that loses its shadow, or a part of it, because only faces turned to the light cast, or
+    only faces turned away. It names the key that sets this.
 
     **Arguments:**
 

@@ -43,8 +43,8 @@ def blind_camera(config: Config, scene: geometry.Scene, surface: raster.Surface)
         cause = "no triangle covers one"
         mend = "change its target, narrow its view, move it nearer, or raise the resolution"
     return (
-        f"sees no surface at any pixel's centre: {cause}; its near is {near:.3g}, its far {far:.3g} and the scene's "
-        f"size {size_of(scene.mesh):.3g} world units; expected a part of the scene in sight; {mend}"
+        f"sees no surface at any pixel's centre: {cause}; its near is {near:.3g}, its far is {far:.3g}, and the "
+        f"scene's size is {size_of(scene.mesh):.3g} world units; expected a part of the scene in sight; {mend}"
     )
 
 
@@ -58,9 +58,9 @@ def blind_light(config: Config, scene: geometry.Scene, surface: raster.Surface) 
         cause, mend = f"{cause}, and it is inside {inside}", f"move it out of that mesh, {mend}"
     view = light.view()
     return (
-        f"and the camera see no surface together: of {len(points):,} pixels with a surface, {cause}; its near is "
-        f"{float(view.near):.3g}, its far {float(view.far):.3g} and the scene's size {size_of(scene.mesh):.3g} "
-        f"world units; expected a surface that both see; {mend}, or turn the camera"
+        f"and the camera see no surface together: of {len(points):,} pixels with a surface, {cause}; the light's near "
+        f"is {float(view.near):.3g}, its far is {float(view.far):.3g}, and the scene's size is "
+        f"{size_of(scene.mesh):.3g} world units; expected a surface that both see; {mend}, or turn the camera"
     )
 
 

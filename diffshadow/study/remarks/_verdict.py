@@ -27,8 +27,8 @@ class Change(NamedTuple):
     - `turn`: in words, such as `"flip the reference upside down"`; empty if it is as it should be.
     - `is_inverted`: whether light and shadow are exchanged.
     - `low`, `high`: the reference's values where rays see shadow and light.
-    - `rmse`: of the turned and inverted reference against rays.
-    - `left`: the part of its variance that rays leave, whatever its `low` and `high`.
+    - `rmse`: RMSE of the turned and inverted reference against rays.
+    - `left`: the part of its variance that rays do not explain, whatever its `low` and `high`.
     """
 
     turn: str
@@ -40,12 +40,14 @@ class Change(NamedTuple):
 
 
 class Unexplained(NamedTuple):
-    """What a fit leaves of its references.
+    """How much of its references a fit does not explain.
 
-    - `rmse`: the fit's error over all images; `constant`: the least error of a constant image in place of each.
-    - `keys`: of the lights or views whose references are not of this scene in its fitted state; there may be none.
-    - `by_rays`: the error of rays against the first of these; `given`: whether that was given as a file.
-    - `change`: what makes the first of these a picture of the scene; none if nothing does, or it was traced.
+    - `rmse`: the fit's error over all images; `constant`: the least error that constant images have.
+    - `keys`: the keys of the lights or views whose references do not show this scene in its fitted state; there may be
+        none.
+    - `by_rays`: the error of rays against the first of these references; `given`: whether this reference is a file.
+    - `change`: the change that makes the first of these references a picture of the scene; none if no change does, or
+        the reference was traced.
     """
 
     rmse: float
@@ -63,7 +65,7 @@ def verdict(
 
     **Arguments:**
 
-    - `config`: none of a fit that was made in Python, whose remedies name Python's settings.
+    - `config`: the configuration; none for a fit that was made in Python, whose remedies name Python's settings.
     - `before`, `after`: the RMSE before and after the fit.
     - `found`: what the fit leaves unexplained.
     """
@@ -99,7 +101,7 @@ def verdict(
 def unexplained_verdict(config: Config | None, found: Unexplained, *, starts: int, moves: bool) -> Verdict:
     """The verdict of a fit that does not explain its references.
 
-    **Arguments:** `starts`: of the fit; `moves`: whether it moved lights, meshes or the camera.
+    **Arguments:** `starts`: number of starts of the fit; `moves`: whether it moved lights, meshes or the camera.
     """
     remedies = list(_remedies(config, found, starts, moves=moves))
     return Verdict(kind=UNEXPLAINED, sentence=_unexplained(found), remedies=remedies, constant_rmse=found.constant)
@@ -205,7 +207,7 @@ def _listed(names: Sequence[str], what: str = "parameters") -> str:
 def shape_verdict(result: FittedShape, measured: ShapeMetrics) -> Verdict:
     """The verdict of a fit of a shape.
 
-    **Arguments:** `measured`: how close it is.
+    **Arguments:** `measured`: how close the shape's shadows are to their targets.
     """
     overlap = f"{np.mean([light.rays for light in measured.lights]):.1%}"
     if result.chosen < 0:

@@ -29,7 +29,7 @@ _SHADOWED = 0.5
 
 
 class Checked(NamedTuple):
-    """The number of triangles in a scene that was checked; if asked for, the path of its picture, and the part of the
+    """The number of triangles in a checked scene. With a preview, also the path of its picture, and the part of the
     picture's pixels that are in shadow."""
 
     triangles: int
@@ -40,8 +40,8 @@ class Checked(NamedTuple):
 def check(config: Config, *, console: Console, preview: bool = False) -> Checked:
     """Checks `config`: does everything that a render or a fit does before it traces its reference.
 
-    A fit is checked only if the technique can be fitted. Remarks on the scene are printed. Nothing is written, unless
-    a `preview` is asked for: a picture `<output>/<name>-preview.png`, drawn with the technique unfitted.
+    A fit is checked only if the technique can be fitted. Remarks on the scene are printed. Nothing is written, except
+    with `preview`: a picture `<output>/<name>-preview.png`, drawn with the technique unfitted.
 
     **Raises** `ConfigError` for a mistake in the configuration.
     """

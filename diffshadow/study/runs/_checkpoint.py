@@ -59,7 +59,7 @@ class Checkpoint:
         arrays = {name: getattr(state, name) for name in (*_ARRAYS, *_NUMBERS, "losses")}
         history = np.asarray(state.history, np.float64).reshape(-1, 2)
         self.file.parent.mkdir(parents=True, exist_ok=True)
-        kept = "" if self._step is None else f"; the fit then goes on after step {self._step}, which is kept"
+        kept = "" if self._step is None else f"; the fit then continues after step {self._step}, which is kept"
         with io.naming_full_disks(self.file, kept), io.atomic_path(self.file) as temporary:
             np.savez(temporary, allow_pickle=False, key=self._key, history=history, **arrays)
         self._written, self._step = time.monotonic(), len(state.history)

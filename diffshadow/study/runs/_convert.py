@@ -78,11 +78,11 @@ def convert(
     - `fits`: whether engines that lack the bias are fitted.
     - `engine`: the only engine to convert to. Its finished code is printed instead of a table.
 
-    **Raises** `ConfigError` for a technique or a light that has none of these.
+    **Raises** `ConfigError` for a technique or a light without a bias or radius to convert.
     """
     if not isinstance(config.technique, SingleMap | Engine):
         *names, last = ENGINE_TECHNIQUES
-        expected = f"expected shadow_map, {', '.join(names)} or {last}, whose bias is converted: change it"
+        expected = f"expected shadow_map, {', '.join(names)} or {last}, whose biases can be converted: change it"
         what = f"is {config.technique.type}; {expected}"
         raise ConfigError([Mistake(config.origin.place(("technique", "type")), "technique.type", what)])
     technique = build_technique(config, fitting=False)
@@ -201,8 +201,8 @@ def _width(section: Mapping[str, Any]) -> float:
 _FITTED = ("three.js", "Babylon.js")
 _VALID = "valid for this light's map; with another window, size, near or far, convert again"
 _BESIDE = (
-    f"{' and '.join(ENGINES[name] for name in POLYGON_OFFSETS)} draw their maps with a polygon offset besides, so less "
-    "may do there: fit it with diffshadow advise --engine"
+    f"{' and '.join(ENGINES[name] for name in POLYGON_OFFSETS)} also draw their maps with a polygon offset, so a "
+    "smaller bias may do there: fit it with diffshadow advise --engine"
 )
 _ALONE = "bias.constant alone, without slope, plane, terms and normal offset"
 

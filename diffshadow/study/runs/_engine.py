@@ -23,14 +23,14 @@ from ._setup import load
 _MAX_BIAS, _MAX_OFFSET, MAX_RADIUS = 32.0, 4.0, 16.0
 _START = 2.0
 SIDES: dict[str, Side] = {"none": "double", "back": "front", "front": "back"}
-"""The faces that cast, by `shadow_map.cull`."""
+"""The faces that cast, for each value of `shadow_map.cull`."""
 FACES: dict[str, str] = {"double": "both sides of faces cast", "front": "front faces cast", "back": "back faces cast"}
 """The same in words."""
 
 
 class Lit(NamedTuple):
-    """One light's key, and what a receiver in the middle of its receivers is: a texel's width in world units and in
-    window depth, and the distance along the light's axis."""
+    """One light's key, and values for the median receiver: a texel's width in world units and in window depth, and the
+    distance along the light's axis."""
 
     key: tuple[str | int, ...]
     scene: Scene
@@ -52,9 +52,9 @@ class Lit(NamedTuple):
 
 
 def lit_by(config: Config, progress: Progress) -> list[Lit]:
-    """Each light of `config` and the median over its receivers.
+    """Each light of `config`, with values for its median receiver.
 
-    **Raises** `ConfigError` if one lights nothing that the camera sees, or no engine has it.
+    **Raises** `ConfigError` if a light reaches nothing that the camera sees, or no engine has such a light.
     """
     whole = load(config, progress).scene
     # The light's own map: neither bias nor filter changes the size of its texels.
@@ -93,7 +93,8 @@ class EngineFit(NamedTuple):
 
 
 def bias_of_a_texel(engine: Any, lit: Sequence[Lit]) -> float:
-    """The bias of three.js or Babylon.js that is a texel towards the light, of the light for which it is largest."""
+    """The bias of three.js or Babylon.js that moves receivers by one texel towards the light, for the light that needs
+    the largest."""
     if isinstance(engine, ThreeJs):
         return -max(each.depth_per_texel for each in lit)
     if any(each.is_point for each in lit):
@@ -104,7 +105,7 @@ def bias_of_a_texel(engine: Any, lit: Sequence[Lit]) -> float:
 
 
 def three_js(config: Config, lit: Sequence[Lit]) -> EngineFit:
-    """Of three.js, with its filter `PCFShadowMap`. Faces cast as in `config`."""
+    """The fit of three.js with its filter `PCFShadowMap`. The same faces cast as in `config`."""
     given, one = config.technique, bias_of_a_texel(ThreeJs(), lit)
     sides = (
         {"side": given.side, "shadow_side": given.shadow_side}
@@ -123,7 +124,7 @@ def three_js(config: Config, lit: Sequence[Lit]) -> EngineFit:
 
 
 def babylon_js(config: Config, lit: Sequence[Lit], kind: BabylonFilter | None = None) -> EngineFit:
-    """Of Babylon.js, with the filter `kind`, by default its `PCF`. Faces cast as in `config`."""
+    """The fit of Babylon.js with the filter `kind`, by default its `PCF`. The same faces cast as in `config`."""
     is_point = any(each.is_point for each in lit)
     # The engine draws PCF under a point light with the taps of POISSONSAMPLING.
     kind = kind or ("POISSONSAMPLING" if is_point else "PCF")
@@ -149,7 +150,8 @@ def babylon_js(config: Config, lit: Sequence[Lit], kind: BabylonFilter | None = 
 
 
 def engine_fit(name: EngineName, config: Config, lit: Sequence[Lit], kind: str | None = None) -> EngineFit:
-    """Of any engine that is drawn here, with the filter `kind`, by default the engine's. Faces cast as in `config`."""
+    """The fit of any engine that is drawn here, with the filter `kind`, by default the engine's default. The same faces
+    cast as in `config`."""
     if name == "three.js":
         return three_js(config, lit)
     if name == "babylon.js":
@@ -231,7 +233,8 @@ def _distances(drawn: Drawn) -> tuple[float, float]:
 
 
 def along(light: AbstractLight, points: VectorMap) -> Float32[HostArray, "h w"]:
-    """The distance of `points` (h, w, 3) along the axis of the light, or of its face of a point light's map."""
+    """The distance of `points` (h, w, 3) along the light's axis; for a point light, along the axis of the face of its
+    map."""
     if isinstance(light, PointLight):
         return np.asarray(abs(points - light.position).max(axis=-1))
     return np.asarray(light.view().distance(points))

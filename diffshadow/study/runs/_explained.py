@@ -53,8 +53,8 @@ class Fitted(NamedTuple):
 def unexplained(images: Sequence[Fitted]) -> Unexplained | None:
     """What the fit leaves unexplained; none if it explains its references.
 
-    A fit fails if a constant image in place of each of its own has no larger error. It also fails if it leaves much of
-    a reference's variance, and so do rays in the fitted scene: then the reference is no picture of it.
+    A fit fails if constant images in place of its own have no larger error. It also fails if neither the fit nor rays
+    in the fitted scene explain most of a reference's variance: then the reference is not a picture of the scene.
     """
     counted = [each for each in images if each.drawn.pixels]
     pixels = np.asarray([each.drawn.pixels for each in counted], np.float64)
@@ -80,7 +80,7 @@ def unexplained(images: Sequence[Fitted]) -> Unexplained | None:
 def best_change(seen: Sequence[Image], truth: Image, mask: Mask) -> Change | None:
     """The change after which a reference is a picture of the scene; none if no flip or inversion makes it one.
 
-    **Arguments:** `seen`: (h, w), what rays see, of the scene in one or several states.
+    **Arguments:** `seen`: images (h, w) of the scene by rays, in one or several states.
     """
     changes = [
         _compared(image, turned, kept & mask, words)
@@ -165,8 +165,8 @@ def fitted_images(
 ) -> list[Fitted]:
     """The images that a fit has seen.
 
-    **Arguments:** of all views and lights, their references, their images after the fit, and the scene that it left;
-    and the fit's `result`, if it may have moved lights or meshes.
+    **Arguments:** the references of all views and lights, their images after the fit, and the fitted scenes; and the
+    fit's `result`, if lights or meshes may have moved.
     """
     found, arrangement = [], None if result is None else result.arrangement
     configs = [view.config for view in views.fitted for _ in view.drawn]

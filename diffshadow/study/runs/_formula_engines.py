@@ -26,8 +26,8 @@ _PARAMETERS = "parameters"
 class Filter(NamedTuple):
     """A filter of an engine.
 
-    - `label`: the engine's name of it; `section`: the same in this library.
-    - `softness`: as of `engine_settings`; None if it is the fitted radius.
+    - `label`: the engine's name of the filter; `section`: the same filter in this library.
+    - `softness`: as in `engine_settings`; `None` if it is the fitted radius.
     - `code`: what chooses it.
     """
 
@@ -45,9 +45,9 @@ class Filter(NamedTuple):
 class Engine(NamedTuple):
     """An engine.
 
-    - `filters`: what it has; `bias`, `offset`: its names of a constant bias and of a normal offset.
-    - `suffix`: of a file in its language, and `comment`: how a comment begins there.
-    - `write`: its code, of the values by name, the filter, the radius, the map's size and the light's kind.
+    - `filters`: the engine's filters; `bias`, `offset`: its names of a constant bias and of a normal offset.
+    - `suffix`: suffix of a file in its language; `comment`: how a comment begins there.
+    - `write`: makes its code from the values by name, the filter, the radius, the map's size and the light's kind.
     """
 
     filters: tuple[Filter, ...]
@@ -172,8 +172,8 @@ FORMULA_ENGINES: dict[EngineName, Engine] = {
 
 
 def offered(name: EngineName, lit: list[Lit], size: tuple[int, int]) -> dict[str, list[dict[str, Any]]]:
-    """The lists of the section `advise` for an engine: the biases that it has under all lights `lit`, whose maps have
-    at least `size` (height, width) texels, and its filters.
+    """The lists of the section `advise` for an engine: its filters, and the biases that it has under all lights `lit`.
+    Their maps have at least `size` (height, width) texels.
 
     **Raises** `ValueError` if the engine has no shadows of one of the lights.
     """
@@ -233,7 +233,7 @@ def _names(name: EngineName, lit: Lit, size: tuple[int, int]) -> set[str]:
 
 
 def code_of_formula(name: EngineName, config: Config, filter_label: str, lit: Lit) -> str:
-    """The code that sets the values of `config` for one light, with comments on where they hold."""
+    """The code that sets the values of `config` for one light, with comments on where the values are valid."""
     engine, light = FORMULA_ENGINES[name], lit.scene.light
     chosen = next(each for each in engine.filters if each.label == filter_label)
     height, width = config.shadow_map.resolution
@@ -271,20 +271,20 @@ def lines_of(
 
 
 def _where(name: EngineName, config: Config, frame: LightFrame, lit: Lit) -> list[str]:
-    """Where the values hold."""
+    """Where the values are valid."""
     at = "" if frame.kind == "directional" else f" at the distance {lit.distance:.4g}"
     lines = [
         f"{ENGINES[name]}. Read from its sources, and not verified against the engine.",
-        f"Holds where {FACES[SIDES[config.shadow_map.cull]]}.",
-        f"Holds where a texel of the map is {frame.texel:.4g} world units wide{at}: a bias in texels grows with it.",
+        f"Valid where {FACES[SIDES[config.shadow_map.cull]]}.",
+        f"Valid where a texel of the map is {frame.texel:.4g} world units wide{at}: a bias in texels grows with it.",
     ]
     if name in POLYGON_OFFSETS:
-        lines += [f"Holds beside {beside(name)}."]
+        lines += [f"Valid beside {beside(name)}."]
     if name == "godot" and frame.kind == "directional":
         depth = frame.far - frame.near
-        lines += [f"Holds for a depth range of {depth:.4g}: with another, shadow_bias goes with {depth:.4g} / range."]
+        lines += [f"Valid for a depth range of {depth:.4g}: for another, multiply shadow_bias by {depth:.4g} / range."]
     if frame.kind != "directional":
-        lines += ["Settings that do not grow with the distance as texels do hold there only."]
+        lines += ["At other distances, only settings that grow with the distance, as texels do, stay valid."]
     return lines
 
 

@@ -31,7 +31,8 @@ def measured(image: Any, drawn: Drawn) -> dict[str, float]:
 
 
 def combined(errors: Sequence[Mapping[str, float]], drawn: Sequence[Drawn]) -> dict[str, float]:
-    """The errors of all lights together: means weighted by the number of pixels that count; RMSEs by their squares."""
+    """The errors of all lights together: means, weighted by the number of pixels that count; for RMSEs, the root of the
+    mean square."""
     pixels = np.asarray([each.pixels for each in drawn], np.float64)
     weights = pixels / pixels.sum()
     return {
@@ -94,7 +95,7 @@ def light_arrays(drawn: Sequence[Drawn]) -> dict[str, Any]:
 def shaded(config: Config | None, drawn: Sequence[Drawn], visibility: Sequence[Image]) -> UInt8[HostArray, "h w 3"]:
     """The scene lit by all its lights, each with its visibility: (h, w, 3), in sRGB, 8 bits per channel.
 
-    **Arguments:** `config`: whose shading it is; the default one if there is none.
+    **Arguments:** `config`: the configuration whose shading is used; the default shading if it has none.
     """
     picture = shade_lit(config, drawn[0].surface, [each.scene for each in drawn], visibility)
     return np.rint(picture * 255).astype(np.uint8)
@@ -103,7 +104,7 @@ def shaded(config: Config | None, drawn: Sequence[Drawn], visibility: Sequence[I
 def shade_lit(
     config: Config | None, surface: raster.Surface, lit: Sequence[geometry.Scene], visibility: Sequence[Image]
 ) -> Float[HostArray, "h w 3"]:
-    """As `shaded`, of a `surface` in scenes that have one of the lights each, and from 0 to 1."""
+    """Like `shaded`, but from 0 to 1, and for a `surface` in scenes that have one of the lights each."""
     lights, seen = [scene.light for scene in lit], [as_float(image) for image in visibility]
     shading = Phong(intensity=INTENSITY / len(lights)) if config is None else build_shading(config)
     scene = lit[0]
@@ -116,8 +117,8 @@ def shade_lit(
 
 
 def perceptual_error(pictures: Pictures, state: str, drawn: Sequence[Drawn]) -> float | None:
-    """ꟻLIP of the shaded picture of a state as it is stored, over the pixels that count under any of the lights; `None`
-    without the package that measures it."""
+    """ꟻLIP of a state's stored shaded picture, over the pixels that count under any of the lights; `None` without the
+    package that measures it."""
     mask = np.any([each.mask for each in drawn], axis=0)
     try:
         mean, _ = metrics.flip(pictures[f"shaded_{state}"] / 255, pictures["shaded_reference"] / 255, mask)

@@ -44,7 +44,7 @@ class PicturePlan(NamedTuple):
 
 
 def picture_plan(config: Config, progress: Progress) -> PicturePlan:
-    """What `config`, whose reference is a picture, fits to which picture.
+    """For a `config` whose reference is a picture: what is fitted, and to which picture.
 
     **Raises** `ConfigError` for a mistake in the configuration.
     """
@@ -90,8 +90,8 @@ def picture_problem(config: Config, progress: Progress) -> tuple[fit.PictureProb
 def traced_picture(
     scene: geometry.Scene, shading: AbstractShading, samples: int, supersampling: int, seed: int = 0
 ) -> Picture:
-    """The picture of a scene by rays, linear: the mean over a grid of camera rays in each pixel, shaded with the light
-    that shadow rays find at each."""
+    """The ray-traced picture of a scene, linear: the mean over a grid of camera rays in each pixel. Each is shaded with
+    the light that its shadow rays find."""
     height, width = scene.camera.resolution
     resolution: Any = {"resolution": (supersampling * height, supersampling * width)}
     fine = dataclasses.replace(scene, camera=dataclasses.replace(scene.camera, **resolution))
@@ -116,8 +116,8 @@ def shown(picture: Picture, encoding: str) -> Picture:
 class FittedPicture:
     """A finished fit to a picture.
 
-    - `name`: of the run; `config`: none of a fit that was made in Python.
-    - `truth`: of fitted numbers, by name, as far as it is known.
+    - `name`: name of the run; `config`: its configuration; none for a fit that was made in Python.
+    - `truth`: true values of fitted numbers, by name, as far as they are known.
     - `pictures`: the reference, and the picture before and after, in their `encoding`.
     - `placed`: the fitted scene.
     """
@@ -143,7 +143,7 @@ class FittedPicture:
         truth: Mapping[str, float],
         of_scene: list[str],
     ) -> Self:
-        """Measures the pictures of a fit, and says what it comes to."""
+        """Measures the pictures of a fit, and reports the result."""
         problem: Any = result.problems[0]
         arrangement = result.arrangement
         assert arrangement is not None

@@ -27,11 +27,11 @@ _PHASE = re.compile(r".*\bphase \d+ of \d+")
 
 
 class Progress:
-    """A progress line that vanishes when the work is done. It is shown on a terminal only. Elsewhere, a console that
-    `names_stages` prints a line for each stage, and for each phase of a fit, as it begins.
+    """A progress line that vanishes when the work is done. It is shown on a terminal only. Elsewhere, if the console
+    has `names_stages`, it prints a line for each stage and for each phase of a fit as it begins.
 
     - `seconds`: how long each finished stage took, by name, in order.
-    - `part`: of the work that has the stages, such as `"view 2 of 9"`; empty if there is one.
+    - `part`: the part of the work that has the stages, such as `"view 2 of 9"`; empty if there is only one.
     """
 
     def __init__(self, console: Console):
@@ -92,9 +92,10 @@ class Progress:
             self._console.print(f"{time.perf_counter() - self._began:6.1f} s  {escape(line)}", soft_wrap=True)
 
     def counted[T](self, name: str, items: Sequence[T]) -> Iterator[T]:
-        """The items, one after another. The `part` is the number of each, with about how long it and the rest take.
+        """The items, one after another. The `part` is the number of each item, with an estimate of its time and of the
+        time left.
 
-        **Arguments:** `name`: of an item.
+        **Arguments:** `name`: name of an item.
         """
         total, began = len(items), 0.0
         for number, item in enumerate(items, start=1):

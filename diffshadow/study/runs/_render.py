@@ -154,7 +154,7 @@ def run_render(config: Config, *, console: Console, debug: bool = False) -> Path
 def render_drawn(
     config: Config, technique: shadow.AbstractTechnique, drawn: list[Drawn], progress: Progress, *, debug: bool = False
 ) -> Rendered:
-    """The visibility by `technique` of a scene that is already drawn, and its errors."""
+    """The visibility that `technique` computes for a scene that is already drawn, and its errors."""
     with progress.stage("measuring"):
         visibility = [visibility_of(technique, each) for each in drawn]
         errors = [measured(image, each) for image, each in zip(visibility, drawn, strict=True)]

@@ -32,12 +32,13 @@ def save_fit(result: fit.FitResult, folder: str | os.PathLike[str], *, names: Se
     - `result`: what `fit.fit` returned.
     - `folder`: such as `"runs/mine"`. Its last part is the run's name. An earlier run there is replaced once everything
         is written.
-    - `names`: of the problems, in their order, for tables and captions; `image 0`, `image 1` and so on if left out.
+    - `names`: names of the problems, in their order, for tables and captions; `image 0`, `image 1` and so on if left
+        out.
 
     **Returns** the folder.
 
     **Raises** `FileError` if the folder cannot be written, or holds something other than a run; `ValueError` if the
-    problems have images of several sizes, or there are not as many different names as problems; and `TypeError` for
+    problems have images of several sizes, or unless there is a different name for each problem; and `TypeError` for
     problems of a user's own kind.
     """
     check_instance("what to save", result, fit.FitResult, "a FitResult, which fit.fit returns")

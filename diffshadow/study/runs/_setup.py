@@ -32,7 +32,7 @@ from ._progress import Progress
 class SeenScene(NamedTuple):
     """A scene as its lights and the camera see it, before any ray is traced.
 
-    - `keys`: of the lights.
+    - `keys`: keys of the lights.
     - `lit`: the scene with each light alone; `states`: the technique's state for each.
     - `covered`: (h, w), for each light, the pixels that the technique covers.
     - `image`: (h, w), the reference, if it is read from a file.
@@ -51,7 +51,7 @@ class SeenScene(NamedTuple):
 class Loaded(NamedTuple):
     """The scene of a configuration, and a sentence for each mesh file that was not read completely.
 
-    - `built`: its meshes; none of a scene that was made in another way.
+    - `built`: its meshes; none for a scene that was made in another way.
     """
 
     scene: geometry.Scene
@@ -173,7 +173,8 @@ def load(config: Config, progress: Progress, like: Loaded | None = None) -> Load
 def plan_fit(config: Config, scene: geometry.Scene) -> FitPlan:
     """The fit of `config`, whose scene is `scene`.
 
-    **Raises** `ConfigError` as `build_fit` does, and for more devices than there are or than the fit can use.
+    **Raises** `ConfigError` as `build_fit` does, and if there are fewer devices than configured, or the fit cannot use
+    as many.
     """
     plan = build_fit(config, scene)
     try:
@@ -239,7 +240,8 @@ def _traced(config: Config, scene: geometry.Scene, progress: Progress) -> refere
 def trace(
     scene: geometry.Scene, how: Mapping[str, Any], progress: Callable[[float], None] | None = None
 ) -> reference.Reference:
-    """What `reference.trace_visibility` finds with arguments `how`; read from disk if it was found before."""
+    """The reference that `reference.trace_visibility` traces with the arguments in `how`; read from disk if it was
+    traced before."""
 
     def find() -> dict[str, HostArray]:
         found = reference.trace_visibility(scene, **how, progress=progress)
@@ -260,8 +262,8 @@ def keyed_scenes(config: Config, progress: Progress) -> list[reference.KeyedScen
 
 
 def keys_of_references(config: Config, scenes: Sequence[reference.KeyedScene]) -> list[str]:
-    """The keys in the cache of the references that are traced for `config`, one for each of its `keyed_scenes`; none if
-    they are read from a file."""
+    """The cache keys of the references that are traced for `config`, one for each of its `keyed_scenes`; none if
+    references are read from a file."""
     if not isinstance(config.reference, TracedReference | PictureReference):
         return []
     how = config.reference.how(config.seed)

@@ -164,7 +164,7 @@ def _watch(
 
 
 def shadow_on(screen: Screen, mesh: geometry.Mesh) -> Image:
-    """The shadow of a mesh on a screen, by rays. One that was traced before is read from disk."""
+    """The shadow of a mesh on a screen, by rays. A reference that was traced before is read from disk."""
     return np.asarray(trace(screen.scene(mesh), {"samples": 1, "supersampling": _RAYS}).visibility)
 
 

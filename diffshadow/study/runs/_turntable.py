@@ -29,7 +29,7 @@ def turntable(mesh: geometry.Mesh) -> Frames:
 
 
 def progress(steps: Sequence[tuple[HostArray, HostArray]]) -> Frames:
-    """Vertices and faces at several steps, as the camera turns a little. The last stays for a while."""
+    """Vertices and faces at several steps, as the camera turns a little. The last frame is shown for a while."""
     meshes = [geometry.Mesh(vertices, faces) for vertices, faces in steps]
     frames = _frames(meshes, 120 / len(meshes))
     return np.concatenate([frames, np.repeat(frames[-1:], 8, axis=0)])

@@ -19,9 +19,9 @@ _MESHES = ("meshes",)
 class DrawnView(NamedTuple):
     """A view, drawn.
 
-    - `name`: what tells it from the others; empty for the configuration's own scene.
-    - `config`: none of a fit that was made in Python.
-    - `technique`: as it begins; none of a fit that was made in Python.
+    - `name`: a unique name; empty for the configuration's own scene.
+    - `config`: its configuration; none for a fit that was made in Python.
+    - `technique`: the technique at the start; none for a fit that was made in Python.
     - `drawn`: its scene, for each of its lights.
     """
 
@@ -79,11 +79,12 @@ class Views(NamedTuple):
 
 
 def draw_views(config: Config, loaded: Loaded, technique: shadow.AbstractTechnique, progress: Progress) -> Views:
-    """Draws the views of `config` and finds their references. Each is cached, so a change of one traces one again.
+    """Draws the views of `config` and finds their references. Each reference is cached, so that a changed view traces
+    only its own reference again.
 
     **Arguments:**
 
-    - `loaded`, `technique`: of `config`.
+    - `loaded`, `technique`: what `config` loads, and its technique.
 
     **Raises** `ConfigError` as `draw` does, for the first view that has a fault.
     """

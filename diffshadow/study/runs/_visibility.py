@@ -66,7 +66,7 @@ def problems_of(plan: FitPlan, scene: Scene, drawn: Sequence[Drawn]) -> list[fit
 
 
 def with_references_of(problems: Sequence[fit.PoseProblem], drawn: Sequence[Drawn]) -> list[Drawn]:
-    """With the references of the problems, which are dark outside a spot light's cone."""
+    """The same with the references of the problems, which are dark outside a spot light's cone."""
     visibility = [np.asarray(problem.reference) for problem in problems]
     return [
         each._replace(reference=dataclasses.replace(each.reference, visibility=image))
@@ -78,7 +78,7 @@ class State(NamedTuple):
     """The images of visibility before or after a fit, one for each view and light.
 
     - `drawn`: the scenes that they show, in which lights and meshes may have moved.
-    - `errors`: under the hard compare, by name.
+    - `errors`: errors under the hard compare, by name.
     """
 
     images: list[Float32[HostArray, "h w"]]
@@ -90,9 +90,9 @@ class State(NamedTuple):
 class FittedRun:
     """A finished fit, with its images before and after.
 
-    - `name`: of the run; `config`: none of a fit that was made in Python.
-    - `truth`: of fitted poses, by name, as far as it is known.
-    - `views`: all that the fit sees, and its validation; `drawn`: their true scenes.
+    - `name`: name of the run; `config`: its configuration; none for a fit that was made in Python.
+    - `truth`: true values of fitted poses, by name, as far as they are known.
+    - `views`: the views that the fit sees, and its validation; `drawn`: their true scenes.
     """
 
     name: str
@@ -139,7 +139,7 @@ class FittedRun:
 
     @property
     def mapped(self) -> list[Drawn]:
-        """The scene with the stored maps: of the fitted technique, or of the true lights and meshes."""
+        """The scene with the stored maps: drawn by the fitted technique, or from the true lights and meshes."""
         return self.after.drawn if self.result.arrangement is None else self.drawn
 
     @property
@@ -149,8 +149,8 @@ class FittedRun:
 
     @property
     def code(self) -> dict[str, str]:
-        """The code for the lights of an engine, by their keys; of several views, for the first. None without a
-        configuration, whose keys the code has."""
+        """The code for the lights of an engine, by their keys; with several views, the code for the first view. None
+        without a configuration, since the code needs its keys."""
         first = self.views.fitted[0]
         if first.config is None:
             return {}
@@ -158,7 +158,7 @@ class FittedRun:
 
     @property
     def shown(self) -> list[int]:
-        """The indices of the scenes and lights whose pictures are written: all, or only the worst views'."""
+        """The indices of the scenes and lights whose pictures are written: all, or only the worst views."""
         if not self.has_views:
             return list(range(len(self.drawn)))
         errors = np.nan_to_num([errors["rmse"] for errors in self.after.errors])
@@ -166,7 +166,7 @@ class FittedRun:
 
     @property
     def errors(self) -> dict[str, dict[str, float]]:
-        """The errors `before` and `after` the fit over all that it sees."""
+        """The errors `before` and `after` the fit, over all views that the fit sees."""
         return self._errors(slice(self.views.seen))
 
     @property
@@ -180,8 +180,8 @@ class FittedRun:
 
     @cached_property
     def pictures(self) -> list[Pictures]:
-        """The shaded pictures of views by the names of their arrays: of the worst, and of those whose ꟻLIP is measured.
-        Of the others there is none, nor where the scene is not known."""
+        """The shaded pictures of views by the names of their arrays: the worst views, and those whose ꟻLIP is measured.
+        Other views have no picture, nor have views whose scene is not known."""
         views = self.views
         if any(each.scene is None for each in self.drawn):
             return [{} for _ in views.all]
@@ -298,7 +298,8 @@ class FittedRun:
 
 
 def spaced(start: int, end: int) -> list[int]:
-    """Whole numbers from `start` up to `end`, evenly spaced: all of them, or as many as ꟻLIP is measured of."""
+    """Whole numbers from `start` up to `end`, evenly spaced: all, or as many as there are pictures to measure ꟻLIP
+    for."""
     count = min(end - start, _MAX_PERCEIVED)
     return np.linspace(start, end - 1, count).round().astype(int).tolist()
 
@@ -325,7 +326,7 @@ def states_of(
 
     **Arguments:**
 
-    - `problems`: of `drawn`: those that the fit has seen, and more for its validation.
+    - `problems`: the problems of `drawn`: those that the fit has seen, and more for its validation.
     """
     laid_out, states = [*result.problems, *problems[len(result.problems) :]], []
     end: Any = result.technique if result.arrangement is None else result.arrangement

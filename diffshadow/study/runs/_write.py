@@ -21,11 +21,11 @@ _PACKAGES = ("diffshadow", "jax", "jaxlib", "equinox", "optimistix", "numpy")
 
 
 class Finished(Protocol):
-    """A run that is measured and remarked on: its images, and what is known of them."""
+    """A run with its measurements and remarks: its images, and what is known about them."""
 
     @property
     def config(self) -> Config | None:
-        """None of a fit that was made in Python."""
+        """None for a fit that was made in Python."""
         ...
 
     @property
@@ -34,7 +34,7 @@ class Finished(Protocol):
         ...
 
     def record(self, **about: Any) -> FolderRecord:
-        """Its record; `about` are times, versions, and what repeats the run."""
+        """Its record; `about` has times, versions, and the command that repeats the run."""
         ...
 
     def arrays(self) -> Mapping[str, Any]:
@@ -49,7 +49,7 @@ class Finished(Protocol):
 def write_run(folder: Path, finished: Finished, seconds: Mapping[str, float], verb: str = "fit") -> FolderRecord:
     """Writes the folder of a run: all of its files, or none. **Returns** its record.
 
-    **Arguments:** `seconds`: the times of its stages; `verb`: of the command that repeats it.
+    **Arguments:** `seconds`: the times of its stages; `verb`: the name of the command that repeats it.
     """
     config = finished.config
     about: dict[str, Any] = {"seconds": {name: round(s, 3) for name, s in seconds.items()}, "versions": versions()}
@@ -96,7 +96,8 @@ def _processor() -> str:
 
 def configs_of_fit(config: Config, values: Mapping[str, float]) -> dict[str, Config]:
     """The configurations that the folder of a fit of `config` holds: with the layout that it was drawn with, and with
-    the `values` that were fitted. No keys state where lights and meshes moved, so a fit of these has no `fitted.yaml`.
+    the `values` that were fitted. No keys can state where lights and meshes moved, so a fit of lights or meshes has no
+    `fitted.yaml`.
     """
     found = {CONFIG_FILE: config.with_layout_of_fit()}
     if values and not config.moves:

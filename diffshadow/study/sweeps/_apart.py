@@ -30,7 +30,7 @@ class Returned(NamedTuple):
 
 
 class WrongCodeError(RuntimeError):
-    """A worker has other code of this package."""
+    """A worker has another version of this package's code."""
 
 
 def work_apart(
@@ -44,14 +44,14 @@ def work_apart(
 
     **Arguments:**
 
-    - `code`: of this package, where the sweep was started, as a `Code`.
+    - `code`: this package's `Code` where the sweep was started.
     - `pickled`: a `Batch`, and the hash of each of its input files by path.
-    - `contents`: of these files by hash.
-    - `references`: cached references by their keys; `missing`: the keys of others.
+    - `contents`: the contents of these files by hash.
+    - `references`: cached references by their keys; `missing`: the keys of references that are not cached.
 
     **Returns** the runs, and the missing references that are cached now.
 
-    **Raises** `WrongCodeError` if this worker has other code; `FullDiskError` if it has no space left.
+    **Raises** `WrongCodeError` if this worker has different code; `FullDiskError` if it has no space left.
     """
     from distributed import get_worker
     from distributed.protocol.pickle import loads

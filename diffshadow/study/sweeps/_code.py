@@ -24,7 +24,7 @@ _DIGITS = 12
 class Code(NamedTuple):
     """The code of the package.
 
-    - `version`: empty if it is not installed; `hash`: of its sources, empty if they are not found.
+    - `version`: empty if it is not installed; `hash`: hash of its sources, empty if they are not found.
     - `fault`: why it cannot be imported; empty if it can, or if that was not tried.
     """
 
@@ -64,8 +64,8 @@ def own_code() -> Code:
 
 
 def imported_code(here: str) -> Code:
-    """The code of a process once it has imported what workers need. It is imported only if the sources have the hash
-    `here`."""
+    """The code of a process once it has imported what workers need. The package is imported only if its sources have
+    the hash `here`."""
     if _OWN in sys.modules:
         # A process keeps what it has imported, whatever becomes of the files.
         return sys.modules[_OWN].own_code()

@@ -17,8 +17,8 @@ _KNOWN = 3
 
 
 class Pace:
-    """Prints the number of runs before they begin, an estimate of their time once the first is done, and better ones as
-    others turn out to take longer or shorter.
+    """Prints the number of runs before they begin, an estimate of their time once the first is done, and better
+    estimates as more runs are done.
 
     **Arguments:**
 
@@ -31,7 +31,7 @@ class Pace:
         self._took, self._said = 0.0, 0.0
 
     def begin(self, count: int, workers: int) -> None:
-        """Prints that `count` runs are to do, by so many `workers` at a time."""
+        """Prints that there are `count` runs to do, with `workers` of them at a time."""
         self._count, self._workers, self._began = count, workers, time.perf_counter()
         at_once = f", {min(workers, count)} at a time" if min(workers, count) > 1 else ""
         self._print(f"{count:,} {self._runs} to do{at_once}; the first says how long they take")
@@ -66,7 +66,7 @@ class Pace:
 
 
 def saying_how_long(console: Console, what: str, total: int, progress: Callable[[int], None]) -> Callable[[int], None]:
-    """`progress`, which also prints how long `total` steps of `what` take as soon as a few are done."""
+    """Like `progress`, but it also prints how long `total` steps of `what` take, as soon as a few are done."""
     began, is_said = time.perf_counter(), False
 
     def step(done: int) -> None:

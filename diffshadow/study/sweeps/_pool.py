@@ -74,7 +74,7 @@ class OnCluster:
     - `interrupted`: called while waiting; it raises to stop the sweep.
     - `apart`: whether workers share no files with this process. Then inputs are sent to them, and what they return is
         written here.
-    - `say`: called with what is awaited if that takes long.
+    - `say`: called with what the sweep waits for, if that takes long.
     """
 
     def __init__(
@@ -288,7 +288,7 @@ def pool(
     - `workers`: number of local worker processes; by default one per core, as far as memory allows. With 0, all runs
         are done in this process.
     - `most`: the most local workers to start by default.
-    - `say`: called with what is awaited if that takes long.
+    - `say`: called with what the sweep waits for, if that takes long.
 
     **Raises** `ValueError` if there is no scheduler at the address, it has no workers, or one of them has other code of
     this package.

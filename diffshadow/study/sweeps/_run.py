@@ -106,8 +106,8 @@ def doing(
 
     **Arguments:**
 
-    - `kind`: of the folder's record: of a sweep, or of what is made of one.
-    - `pace`: says how long the runs take.
+    - `kind`: the kind of the folder's record: a sweep, or what is made from one.
+    - `pace`: prints how long the runs take.
 
     **Yields** the tables, and the number of runs that were tried now. Until the end of the block, no other process can
     do the sweep.
@@ -130,7 +130,7 @@ def doing(
 
 
 def missing_runs(sweep: Sweep, folder: Path, progress: Callable[[int], None] = lambda done: None) -> list[int]:
-    """The indices of the runs without a valid result in `folder`. Of equal runs, only the first is listed.
+    """The indices of the runs without a valid result in `folder`. If runs are equal, only the first is listed.
 
     **Arguments:**
 
@@ -154,7 +154,7 @@ def print_plan(console: Console, sweep: Sweep, limit: int | None = None, suffix:
 
     **Arguments:**
 
-    - `suffix`: of the folder's name.
+    - `suffix`: suffix of the folder's name.
     """
     folder = sweep.runs[0].config.output_folder / f"{sweep.name}{suffix}"
     axes = Table("axis", "values", "", title=table.words(sweep.name), title_justify="left")
@@ -345,7 +345,7 @@ def counts_of(results: Columns) -> dict[str, int]:
 
 
 def about(sweep: Sweep, kind: type[SweepRecord | AdviseRecord], counts: Mapping[str, int]) -> dict[str, Any]:
-    """What a record of this `kind` says of a sweep, of whose runs so many have each status."""
+    """The record of a sweep, of this `kind`, with the number of runs for each status."""
     verb = kind.model_fields["kind"].default
     return {
         "name": sweep.name,

@@ -69,7 +69,7 @@ class Batch(NamedTuple):
     - `settings`: the sweep's settings.
     - `runs`: the runs to do.
     - `programs`: the folder of compiled programs, if there is one.
-    - `shares`: whether its references are worth sending: other batches have them too, or there are few.
+    - `shares`: whether to send its references: other batches need them too, or there are few.
     - `shape`: what the compiled programs of all its runs depend on.
     """
 

@@ -159,7 +159,7 @@ def test_a_caster_before_the_first_cascade_is_flattened():
 
 
 def test_a_map_has_the_size_that_the_engine_gives_it():
-    with pytest.raises(ValueError, match=r"Bevy.resolution is \(160, 160\); expected a power of two, .* others: 256"):
+    with pytest.raises(ValueError, match=r"Bevy.resolution is \(160, 160\); expected a power of two, .* sizes up: 256"):
         Bevy(resolution=(160, 160))
 
 
