@@ -189,7 +189,7 @@ def test_the_page_has_the_numbers_that_the_command_prints():
         stated = rf"[^|]*{rule.constant:g}[^|]*{rule.normal_offset:g}[^|]*"
         row = rf"\| {re.escape(ENGINES[name])} \|[^|]*\| {worth(rule.shipped)} {stated}\| {worth(rule.worth)}"
         assert re.search(row, page), name
-    formula = f"constant {rules.CONSTANT:g} + {rules.CONSTANT_PER_TEXEL:g} r, slope {rules.SLOPE:g} + "
+    formula = f"constant of {rules.CONSTANT:g} + {rules.CONSTANT_PER_TEXEL:g} r and a slope of {rules.SLOPE:g} + "
     formula += f"{rules.SLOPE_PER_TEXEL:g} r"
     assert formula in text
     assert f"constant {rules.PLANE_CONSTANT:g} (1 + r)" in page
