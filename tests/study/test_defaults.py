@@ -192,6 +192,6 @@ def test_the_page_has_the_numbers_that_the_command_prints():
     formula = f"constant of {rules.CONSTANT:g} + {rules.CONSTANT_PER_TEXEL:g} r and a slope of {rules.SLOPE:g} + "
     formula += f"{rules.SLOPE_PER_TEXEL:g} r"
     assert formula in text
-    assert f"constant {rules.PLANE_CONSTANT:g} (1 + r)" in page
+    assert f"constant of {rules.PLANE_CONSTANT:g} (1 + r)" in text
     assert f"a collection of {rules.SCENES} scenes of {rules.KINDS} kinds" in text
     assert f"at most {rules.PART:.0%} of" in text
