@@ -130,6 +130,9 @@ class _Scene(NamedTuple):
 
 # Smaller images are drawn into buffers of this side.
 _SHARED_SIDE = 256
+# Pixels of several views. More are put together when they are ready, since XLA then copies them in this thread. In its
+# own threads, the C library takes arrays of more than 64 MiB from fresh pages each time.
+_MAX_WAITING = 1 << 23
 
 
 @dataclasses.dataclass(frozen=True)
@@ -230,7 +233,10 @@ class _Request:
             count = len(scene.clip)
             each = [viewports] * count if self.viewports is None else viewports
             layers = [None] * count if behind is None else _apart(behind)
-            return _together([view(*one) for one in zip(_apart(scene.clip), layers, each, strict=True)], height, width)
+            views = [view(*one) for one in zip(_apart(scene.clip), layers, each, strict=True)]
+            if count * height * width > _MAX_WAITING:
+                jax.block_until_ready(views)
+            return _together(views, height, width)
 
 
 # Each is one program, where every index would be another.
