@@ -123,8 +123,8 @@ def _depths(mesh: Mesh, view: View, settings: "MapSettings", buffer: Resolution 
     clip = view.clip_vertices(mesh.vertices)
     # Pages have places in virtual maps of their own; other layers show the virtual map that begins at their corner.
     viewports = None if view.tile is None or view.pages is not None else jnp.stack([view.tile.size] * 2, axis=-1)
-    views = clip, view.tile, viewports
-    draw = lambda views: _layer_depths(mesh, *views, view, settings, buffer)
+    views: tuple[Any, Any, Any] = clip, view.tile, viewports
+    draw = lambda each: _layer_depths(mesh, each[0], each[1], each[2], view, settings, buffer)
     if clip.ndim == 2 or is_on_gpu() or math.prod(settings.resolution) <= _MAX_TOGETHER:
         return draw(views)
     # Arrays of all views at once leave the cache, and the C library takes those of more than 64 MiB from fresh pages.
