@@ -285,7 +285,8 @@ def _planes_at(planes: _Planes, face: FaceMap) -> _Planes:
         return jax.tree.map(lambda values: _at_pixels(values, face), planes)
     # What is differentiated is a row for each face: in reverse, a pixel then adds to one place instead of four.
     rows = _at_pixels(jnp.stack([planes.depth, planes.slope_x, planes.slope_y, planes.middle], axis=-1), face)
-    return _Planes(*jnp.moveaxis(rows, -1, 0), _at_pixels(planes.x, face), _at_pixels(planes.y, face))
+    depth, slope_x, slope_y, middle = jnp.moveaxis(rows, -1, 0)
+    return _Planes(depth, slope_x, slope_y, middle, _at_pixels(planes.x, face), _at_pixels(planes.y, face))
 
 
 def _fractions(parts: Sequence[Array]) -> list[Array]:
