@@ -90,8 +90,8 @@ COMPARISONS = {
     "surface": Comparison("surface / OpenGL's", "surface", "opengl_surface", {512: 1.2, 1024: 1.5, 2048: 2.0}),
     "interpolation": Comparison("interpolation, ns per texel", "attributes", None, 35.0),
     "forward": Comparison("forward / depth", "forward", "depth", {1024: 8.0}),
-    "reverse": Comparison("reverse / depth", "reverse", "depth", {1024: 12.0}),
-    "cascades": Comparison("cascades / four maps", "cascades", "maps", {1024: 1.1}),
+    "reverse": Comparison("reverse / depth", "reverse", "depth", {1024: 12.0, 2048: 12.0}),
+    "cascades": Comparison("cascades / four maps", "cascades", "maps", {1024: 1.1, 2048: 1.05}),
 }
 GROWTH_LIMIT = 1.05
 """Of slopes of time over triangles or texels, in logarithms: 1 is linear."""

@@ -10,6 +10,7 @@ Greer 1997): no divide by `w`, so faces that reach behind the eye need no clippi
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -28,6 +29,9 @@ from ..geometry import Tile
 _OVERSHOOT = 0.1
 # Images of more pixels are interpolated in bands on a CPU, so that their attributes fit in its cache.
 _BAND, _BAND_ON_GPU = 1 << 16, 1 << 22
+# On a CPU, derivatives of depth are found in bands if the image has more pixels than this. Otherwise a program at 2048²
+# would need 118 MiB of temporary arrays. The C library takes arrays of more than 64 MiB from fresh pages each time.
+_DERIVATIVE_WHOLE, _DERIVATIVE_BAND = 1 << 20, 1 << 18
 
 CornerValues = Callable[[FaceMap], list[list[Array]]]
 """Of the faces at the pixels (h, w), each component's values at the three corners, (h, w) each."""
@@ -50,25 +54,27 @@ class Points(NamedTuple):
 
 
 def by_bands(
-    function: Callable[[FaceMap, Rows], Any], face: FaceMap, *, band: int | None = None, tile: Tile | None = None
+    function: Callable[[Any, Rows], Any], images: Any, *, band: int | None = None, tile: Tile | None = None
 ) -> Any:
-    """`function` of a face map (h, w), evaluated in bands of rows, one after the other.
+    """`function` of a face map or of several images (h, w), evaluated in bands of rows, one after the other.
 
     **Arguments:**
 
-    - `function`: from a band's faces and rows to arrays whose first axis is the band's rows.
+    - `function`: from a band's part of the images, and its rows, to arrays whose first axis is the band's rows.
+    - `images`: an array (h, w), or a tree of such arrays.
     - `band`: the most pixels of a band of several rows; if left out, what suits the device.
     - `tile`: of an image of square tiles, see `Rows`.
 
     **Returns:** the arrays for the whole image.
     """
-    height, width = face.shape
+    height, width = jax.tree.leaves(images)[0].shape
     band = band or chunk_size(_BAND, _BAND_ON_GPU)
     if height * width <= band:
-        return function(face, Rows(0, height, tile))
+        return function(images, Rows(0, height, tile))
     # The most rows that divide the height.
     rows = next(n for n in range(max(band // width, 1), 0, -1) if height % n == 0)
-    bands = face.reshape(-1, rows, width), jnp.arange(0, height, rows, dtype=jnp.int32)
+    bands = jax.tree.map(lambda image: image.reshape(-1, rows, width), images)
+    bands = bands, jnp.arange(0, height, rows, dtype=jnp.int32)
     found = lax.map(lambda part: function(part[0], Rows(part[1], height, tile)), bands)
     return jax.tree.map(lambda values: values.reshape(height, *values.shape[2:]), found)
 
@@ -223,10 +229,20 @@ def _visible_depth(face: FaceMap, clip: ClipVertices, faces: Faces, tile: Tile |
         return _depth(at, values), on_face
 
     depth, on_face = by_bands(band, face, tile=tile)
-    X, Y = _centres(face.shape, Rows(0, face.shape[0], tile), clip.dtype)
-    plane = jax.tree.map(lambda values: _at_pixels(values, jnp.maximum(face, 0)), _depth_planes(from_far, faces))
-    linear = plane.depth + plane.slope_x * (X - plane.x) + plane.slope_y * (Y - plane.y)
-    return with_gradient_of(jnp.where(face >= 0, jnp.where(on_face, linear, plane.middle) * 0.5, 1), depth)
+    planes = _depth_planes(from_far, faces)
+
+    def on_planes(seen: tuple[FaceMap, Mask], rows: Rows) -> DepthMap:
+        face, on_face = seen
+        X, Y = _centres(face.shape, rows, clip.dtype)
+        plane = _planes_at(planes, jnp.maximum(face, 0))
+        linear = plane.depth + plane.slope_x * (X - plane.x) + plane.slope_y * (Y - plane.y)
+        return jnp.where(face >= 0, jnp.where(on_face, linear, plane.middle) * 0.5, 1)
+
+    is_whole = is_on_gpu() or face.size <= _DERIVATIVE_WHOLE
+    # In reverse mode, a band's arrays are computed again instead of kept.
+    again = lambda seen, rows: jax.checkpoint(partial(on_planes, rows=rows))(seen)
+    smooth = by_bands(again, (face, on_face), band=face.size if is_whole else _DERIVATIVE_BAND, tile=tile)
+    return with_gradient_of(smooth, depth)
 
 
 class _Planes(NamedTuple):
@@ -261,6 +277,16 @@ def _depth_planes(clip: ClipVertices, faces: Faces) -> _Planes:
     determinant = total(adjugate[2], w)
     slope_x, slope_y, depth = (safe_divide(total(column, z), determinant) for column in adjugate)
     return _computed(_Planes(depth, slope_x, slope_y, safe_divide(total(z), total(w)), X, Y))
+
+
+def _planes_at(planes: _Planes, face: FaceMap) -> _Planes:
+    """The planes of the faces that the pixels see, (h, w) each."""
+    if is_on_gpu():
+        return jax.tree.map(lambda values: _at_pixels(values, face), planes)
+    # What is differentiated is a row for each face: in reverse, a pixel then adds to one place instead of four.
+    rows = _at_pixels(jnp.stack([planes.depth, planes.slope_x, planes.slope_y, planes.middle], axis=-1), face)
+    depth, slope_x, slope_y, middle = jnp.moveaxis(rows, -1, 0)
+    return _Planes(depth, slope_x, slope_y, middle, _at_pixels(planes.x, face), _at_pixels(planes.y, face))
 
 
 def _fractions(parts: Sequence[Array]) -> list[Array]:

@@ -68,7 +68,7 @@ def rasterize(
     polygon_offset: Any = None,
     behind: Int[Array, "*l h w"] | None = None,
     pages: Pages | None = None,
-    viewports: Int[Array, "b 2"] | None = None,
+    viewports: Int[Array, "*b 2"] | None = None,
     buffer: Resolution | None = None,
     alpha_test: Textures | None = None,
 ) -> Fragments:
@@ -90,8 +90,8 @@ def rasterize(
         second-nearest layer is drawn.
     - `pages`: draws these pages of a virtual map instead of an image, each into a layer of its own: results are (l, h,
         w). `clip` is one view, of the virtual map, and `resolution` is the size of a layer.
-    - `viewports`: (b, 2), for several views: (height, width) in pixels of the lower left part of the image into which
-        each view is drawn. Pixels beyond see nothing.
+    - `viewports`: (2,), or (b, 2) for several views: (height, width) in pixels of the lower left part of the image into
+        which each view is drawn. Pixels beyond see nothing.
     - `buffer`: (height, width) in pixels, at least `resolution`: draws into a part of an image of this size. Outside of
         a trace, drawings with the same buffer share compiled programs. Under a trace, and with pages, `buffer` is
         ignored.
@@ -130,6 +130,9 @@ class _Scene(NamedTuple):
 
 # Smaller images are drawn into buffers of this side.
 _SHARED_SIDE = 256
+# Pixels of several views. More are put together when they are ready, since XLA then copies them in this thread. In its
+# own threads, the C library takes arrays of more than 64 MiB from fresh pages each time.
+_MAX_WAITING = 1 << 23
 
 
 @dataclasses.dataclass(frozen=True)
@@ -146,7 +149,7 @@ class _Request:
     with_face: bool
     behind: Int[Array, "*l h w"] | None = None
     pages: Pages | None = None
-    viewports: Int[Array, "b 2"] | None = None
+    viewports: Int[Array, "*b 2"] | None = None
     buffer: Resolution | None = None
 
     def drawn(self) -> Any:
@@ -189,16 +192,17 @@ class _Request:
 
     def _in_trace(self, scene: _Scene, test: DepthTest) -> Any:
         """In a trace, a viewport and culling that are known shorten the program."""
-        draw = lambda scene, viewport: _traced(
-            scene, viewport, FACING[self.cull], self.resolution, test, self.with_face, self.pages
-        )
+
+        def draw(scene: _Scene, viewport: Any) -> Any:
+            viewport = self.resolution if viewport is None else viewport
+            return _traced(scene, viewport, FACING[self.cull], self.resolution, test, self.with_face, self.pages)
+
         if scene.clip.ndim == 2:
-            return draw(scene, self.resolution)
+            return draw(scene, self.viewports)
 
         def view(each: Any) -> Any:
             clip, behind, viewport = each
-            one = scene._replace(clip=clip, behind=behind)
-            return draw(one, self.resolution if viewport is None else viewport)
+            return draw(scene._replace(clip=clip, behind=behind), viewport)
 
         # One view after the other, since each has its own number of triangles to draw.
         return lax.map(view, (scene.clip, scene.behind, self.viewports))
@@ -222,13 +226,17 @@ class _Request:
 
         # Nothing here depends on the default precision: programs are shared by both.
         with jax.enable_x64(False):
+            viewports = self.resolution if self.viewports is None else np.asarray(self.viewports)
             if scene.clip.ndim == 2:
-                drawn = view(scene.clip, behind, self.resolution)
+                drawn = view(scene.clip, behind, viewports)
                 return drawn if buffer == self.resolution else _cut(drawn, height, width)
             count = len(scene.clip)
-            each = [self.resolution] * count if self.viewports is None else np.asarray(self.viewports)
+            each = [viewports] * count if self.viewports is None else viewports
             layers = [None] * count if behind is None else _apart(behind)
-            return _together([view(*one) for one in zip(_apart(scene.clip), layers, each, strict=True)], height, width)
+            views = [view(*one) for one in zip(_apart(scene.clip), layers, each, strict=True)]
+            if count * height * width > _MAX_WAITING:
+                jax.block_until_ready(views)
+            return _together(views, height, width)
 
 
 # Each is one program, where every index would be another.

@@ -145,8 +145,10 @@ def hits_on_planes(rays: Rays, faces: Int[HostArray, " n"], triangles: Triangles
     plane = np.sum(normal * (corners[:, 0] - rays.origin), axis=-1)
     distance = plane / np.where(facing == 0, 1, facing)
     # A face seen nearly edge-on has an ill-conditioned plane, but its corners bound the distance.
-    along = np.einsum("nkd,nd->nk", corners - rays.origin[:, None], rays.direction)
-    distance = np.clip(distance, along.min(axis=1), along.max(axis=1))
+    a, b, c = np.einsum("nkd,nd->nk", corners - rays.origin[:, None], rays.direction).T
+    # Written out, since NumPy is slow along an axis of three.
+    nearest, farthest = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+    distance = np.clip(distance, nearest, farthest)
     position = rays.origin + distance[:, None] * rays.direction
     return Hits(position, np.where(facing > 0, -1, 1)[:, None] * normal, faces)
 

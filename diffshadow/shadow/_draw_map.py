@@ -1,17 +1,21 @@
 """Draws a shadow map."""
 
 import dataclasses
+import math
 from typing import Any, ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Float, Int
 
 from .._arithmetic import is_traced, with_gradient_of
 from .._checks import as_tuple, check_settings
+from .._device import is_on_gpu
 from .._padding import round_up_to_power_of_two
 from .._types import Faces, Resolution
-from ..geometry import AbstractLight, Edges, Mesh, MeshLike, View, as_mesh
+from ..geometry import AbstractLight, Edges, Mesh, MeshLike, Tile, View, as_mesh
 from ..raster import DepthTest, Fragments, rasterize, rasterize_with_corners
 from ..settings.maps import Cull, DepthFormat, DepthLayer
 from ..settings.maps import ShadowMap as Settings
@@ -111,11 +115,46 @@ def draw_shadow_map(
     return ShadowMap(depth, light, depth_format, silhouettes, view=view)
 
 
+# Texels. Larger maps of several views are drawn view by view on a CPU.
+_MAX_TOGETHER = 1 << 19
+
+
 def _depths(mesh: Mesh, view: View, settings: "MapSettings", buffer: Resolution | None) -> Float[Array, "*l h w"]:
     """The depths of a map without silhouettes, of the layer that `settings` ask for."""
     clip = view.clip_vertices(mesh.vertices)
     # Pages have places in virtual maps of their own; other layers show the virtual map that begins at their corner.
     viewports = None if view.tile is None or view.pages is not None else jnp.stack([view.tile.size] * 2, axis=-1)
+    views: tuple[Any, Any, Any] = clip, view.tile, viewports
+    draw = lambda each: _layer_depths(mesh, each[0], each[1], each[2], view, settings, buffer)
+    if clip.ndim == 2 or is_on_gpu() or math.prod(settings.resolution) <= _MAX_TOGETHER:
+        return draw(views)
+    # Arrays of all views at once leave the cache, and the C library takes those of more than 64 MiB from fresh pages.
+    if is_traced((clip, mesh)):
+        return lax.map(draw, views)
+    # What is ready is copied in this thread, whose memory the C library keeps whatever its size.
+    return _stacked(jax.block_until_ready([draw(each) for each in _apart(views)]))
+
+
+_stacked = jax.jit(jnp.stack)
+
+
+@jax.jit
+def _apart(views: tuple[Array, Tile | None, Array | None]) -> list[Any]:
+    """Each of several views."""
+    of_view = lambda i: jax.tree.map(lambda leaf: leaf[i], views)
+    return [of_view(i) for i in range(len(views[0]))]
+
+
+def _layer_depths(
+    mesh: Mesh,
+    clip: Float[Array, "*m v 4"],
+    tile: Tile | None,
+    viewports: Int[Array, "*m 2"] | None,
+    view: View,
+    settings: "MapSettings",
+    buffer: Resolution | None,
+) -> Float[Array, "*l h w"]:
+    """`_depths` of one or several of the views in `view`."""
     test = DepthTest(settings.depth_format)
 
     def draw(behind: Int[Array, "*l h w"] | None = None) -> Fragments:
@@ -136,7 +175,7 @@ def _depths(mesh: Mesh, view: View, settings: "MapSettings", buffer: Resolution 
     def depth_of(seen: Fragments) -> Float[Array, "*l h w"]:
         if view.warp is not None:
             return unwarped_depth(seen.face, clip, view.unwarped.clip_vertices(mesh.vertices), mesh.faces, test)
-        return _stored(seen, clip, mesh.faces, view, settings)
+        return _stored(seen, clip, mesh.faces, tile, settings)
 
     seen = draw()
     depth = depth_of(seen)
@@ -154,15 +193,15 @@ def _outlined(
     seen, corners = rasterize_with_corners(
         clip, mesh.faces, settings.resolution, depth_test=test, polygon_offset=settings.polygon_offset
     )
-    depth = _stored(seen, clip, mesh.faces, view, settings)
+    depth = _stored(seen, clip, mesh.faces, view.tile, settings)
     return depth, *_silhouettes(depth, corners.depth, clip, mesh, light, edges, crossings)
 
 
 def _stored(
-    seen: Fragments, clip: Float[Array, "*m v 4"], faces: Faces, view: View, settings: "MapSettings"
+    seen: Fragments, clip: Float[Array, "*m v 4"], faces: Faces, tile: Tile | None, settings: "MapSettings"
 ) -> Float[Array, "*l h w"]:
     """The depths that the buffer stores, with the derivatives of the faces that are seen."""
-    depth = depth_at_centres(seen.face, clip, faces, view.tile)
+    depth = depth_at_centres(seen.face, clip, faces, tile)
     is_plain = settings.depth_format == "float32" and settings.polygon_offset is None
     return depth if is_plain else with_gradient_of(depth, seen.depth)
 

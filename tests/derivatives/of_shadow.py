@@ -539,7 +539,7 @@ def _():
 
     def of(x):
         seen = Fragments(face, test.decode(test.encode(jnp.full((6, 9), 0.4))))
-        stored = _stored(seen, clip(x), mesh.faces, light.view(), settings)
+        stored = _stored(seen, clip(x), mesh.faces, light.view().tile, settings)
         return midpoint(x[3:4], x[4:], test), unwarped_depth(face, *bent(x), mesh.faces, test), stored
 
     def smooth(x):

@@ -21,6 +21,7 @@ from diffshadow.geometry import (
     merge,
 )
 from diffshadow.raster import (
+    _interpolate,
     barycentrics,
     draw_surface,
     interpolate,
@@ -82,6 +83,37 @@ def test_bands_of_rows_make_the_whole_image(pixels):
     assert np.abs(np.asarray(whole[0])).max() > 0.5
     for expected, found in zip(whole, banded, strict=True):
         np.testing.assert_allclose(found, expected, atol=5e-6)
+
+
+def depth_gradient():
+    """The gradient (v, 4) of the squared depth, of a face map, clip coordinates and faces; a new program each time."""
+    return jax.jit(jax.grad(lambda clip, face, faces: jnp.sum(visible_depth(face, clip, faces) ** 2)))
+
+
+@pytest.mark.exhaustive
+def test_derivatives_of_depth_in_bands_are_those_of_the_whole_image(monkeypatch):
+    clip = CAMERA.view().clip(MESH.vertices)
+    face = rasterize(clip, MESH.faces, RESOLUTION).face
+    whole = np.asarray(depth_gradient()(clip, face, MESH.faces))
+    forward = lambda clip: jax.jvp(lambda clip: visible_depth(face, clip, MESH.faces), (clip,), (jnp.cos(clip),))
+    depth, slope = jax.jit(forward)(clip)
+    monkeypatch.setattr(_interpolate, "_DERIVATIVE_WHOLE", RESOLUTION[0] * RESOLUTION[1] - 1)
+    monkeypatch.setattr(_interpolate, "_DERIVATIVE_BAND", 5 * 32)
+    found = np.asarray(depth_gradient()(clip, face, MESH.faces))
+    assert np.abs(whole).max() > 1
+    np.testing.assert_allclose(found, whole, rtol=1e-5, atol=1e-5 * np.abs(whole).max())
+    of_bands = jax.jit(lambda clip: forward(clip))(clip)
+    np.testing.assert_array_equal(of_bands[0], depth)
+    np.testing.assert_allclose(of_bands[1], slope, rtol=1e-5, atol=1e-5 * np.abs(slope).max())
+
+
+@pytest.mark.exhaustive
+@pytest.mark.skipif(jax.default_backend() != "cpu", reason="bands are of CPUs")
+def test_the_gradient_of_a_large_depth_map_fits_into_a_heap_of_the_c_library():
+    clip = jnp.zeros((MESH.vertices.shape[0], 4))
+    program = depth_gradient().lower(clip, jax.ShapeDtypeStruct((2048, 2048), jnp.int32), MESH.faces).compile()
+    # The heap has 64 MiB, of which the face map that is drawn before takes 16.
+    assert program.memory_analysis().temp_size_in_bytes < 48 << 20
 
 
 @jax.jit

@@ -35,11 +35,13 @@ from diffshadow.shadow import (
     SingleMap,
     Tent,
     VarianceShadowMap,
+    _draw_map,
     aliasing,
     draw_shadow_map,
     receiver,
 )
 
+_apart = _draw_map._apart
 NEAR, FAR = 0.1, 100.0
 SIZE = (64, 64)
 TEXELS = 32
@@ -165,6 +167,47 @@ def _contained(layout, size, eye, target, fov, aside, direction, fractions):
         return inside(layer), inside(following), in_band
 
     return jax.vmap(of_one)(eye, target, fov, aside, direction, fractions)
+
+
+@pytest.fixture
+def large_maps(monkeypatch):
+    """A function that returns what another one returns for maps of this side, drawn together and view by view."""
+
+    def both(side, draw):
+        together = draw()
+        monkeypatch.setattr(_draw_map, "_MAX_TOGETHER", side * side - 1)
+        return together, draw()
+
+    return both
+
+
+@pytest.mark.exhaustive
+def test_cascades_of_large_maps_are_drawn_one_by_one(large_maps, monkeypatch):
+    calls, mesh, size = [], floor_and_card(), (SHARED_TEXELS, SHARED_TEXELS)
+    monkeypatch.setattr(_draw_map, "_apart", lambda views: calls.append(len(views[0])) or _apart(views))
+    light = cascades(shares=SHARES).light(sun(mesh), side_camera(SIZE), size)
+    draw = lambda: draw_shadow_map(mesh, light, size, depth_layer="midpoint").depth
+    together, one_by_one = large_maps(SHARED_TEXELS, draw)
+    assert calls == [4]
+    assert 0.1 < np.mean(np.asarray(together) < 1) < 0.9
+    np.testing.assert_array_equal(one_by_one, together)
+
+
+@pytest.mark.exhaustive
+def test_cascades_of_large_maps_have_the_same_derivatives(large_maps):
+    mesh, size = floor_and_card(), (TEXELS, TEXELS)
+    light = cascades().light(sun(mesh), side_camera(SIZE), size)
+
+    def depth_and_gradient(vertices):
+        moved = eqx.tree_at(lambda m: m.vertices, mesh, vertices)
+        depth, pull = jax.vjp(lambda moved: draw_shadow_map(moved, light, size).depth, moved)
+        return depth, pull(jnp.cos(depth))[0].vertices
+
+    # A function of its own is traced anew.
+    together, one_by_one = large_maps(TEXELS, lambda: jax.jit(lambda v: depth_and_gradient(v))(mesh.vertices))
+    np.testing.assert_array_equal(one_by_one[0], together[0])
+    assert np.abs(together[1]).max() > 0.1
+    np.testing.assert_allclose(one_by_one[1], together[1], rtol=1e-5, atol=1e-5 * np.abs(together[1]).max())
 
 
 # Maps without shares are not square.
