@@ -4,8 +4,8 @@
     python experiments/benchmark_first.py configs/picture.yaml configs/room.yaml --programs 8 --json first.json
 
 Each configuration is a process of its own, with an empty cache: a fit if it has a section `fit`, else a render; those
-of sweeps are left out. All columns are CPU seconds, of all threads, which other work on the machine disturbs less than
-it does times; the spans of JAX's events are measured by the CPU time of the process in them.
+of sweeps are left out. Columns are CPU seconds of all threads, which other work on the machine disturbs less than it
+does times; only `trace` is the time of JAX's events, which is its CPU time on an idle machine.
 
 - `all`: of the whole process. `trace`: to make JAX's programs and to lower them. `compile`: by XLA. `rest`: to import,
   to draw, to trace rays, to fit, and to write the run.
