@@ -20,7 +20,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -42,8 +41,8 @@ class Compiled:
         import jax
         from jax._src import compiler
 
-        self.tracing, self.compiling, self.programs = 0.0, 0.0, Counter[str]()
-        self.count, self._inside = 0, 0.0
+        self.tracing, self.compiling, self.count = 0.0, 0.0, 0
+        self.programs: dict[str, float] = {}
         compile_or_get = compiler.compile_or_get_cached
 
         def timed(backend: Any, module: Any, *given: Any, **more: Any) -> Any:
@@ -53,7 +52,8 @@ class Compiled:
             finally:
                 seconds = time.process_time() - began
                 self.compiling, self.count = self.compiling + seconds, self.count + 1
-                self.programs[str(module.operation.attributes["sym_name"]).strip('"')] += seconds
+                name = str(module.operation.attributes["sym_name"]).strip('"')
+                self.programs[name] = self.programs.get(name, 0.0) + seconds
 
         compiler.compile_or_get_cached = timed
         jax.monitoring.register_event_duration_secs_listener(self._add)
@@ -90,7 +90,7 @@ def measure(path: Path, changes: Sequence[str]) -> dict[str, Any]:
         "compile": compiled.compiling,
         "rest": everything - compiled.tracing - compiled.compiling,
         "programs": compiled.count,
-        "dearest": compiled.programs.most_common(),
+        "dearest": sorted(compiled.programs.items(), key=lambda item: -item[1]),
     }
 
 
