@@ -35,8 +35,10 @@ from ._shape_steps import PHASES as SHAPE_PHASES
 from ._shape_steps import FittedShape, ShapePhase, ShapeState, ShapeStep
 from ._train import Training, TrainingPhase, mean_square_error, train
 from .problems import AbstractProblem, PictureProblem, PoseProblem, ShapeProblem, ShapeView, TechniqueProblem
+from .problems import Rows as Rows
 from .problems import cone_fraction as cone_fraction
 from .problems import devices_of as devices_of
+from .problems import stack_of as stack_of
 from .solvers import Solver
 
 __all__ = [

@@ -64,6 +64,8 @@ from .filters._single import Bilinear, Nearest
 from .filters._tent import Tent
 from .filters._variance import VarianceShadowMap
 from .kernels import Atlas, mean_of_taps
+from .kernels import StoredMap as StoredMap
+from .kernels import without_depths as without_depths
 from .layouts import AbstractLayout, Cascades, PerspectiveWarp, ResolutionMatched, SingleMap
 from .layouts import Choice as Choice
 from .layouts import LayerFigure as LayerFigure

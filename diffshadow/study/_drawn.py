@@ -2,9 +2,10 @@
 
 from typing import Any, NamedTuple
 
+import equinox as eqx
 from jaxtyping import Bool
 
-from .. import geometry, raster, reference
+from .. import geometry, raster, reference, shadow
 from .._types import HostArray
 
 
@@ -13,18 +14,24 @@ class Drawn(NamedTuple):
 
     - `key`: key of the light, such as `"scene.light"`.
     - `scene`: the scene with only that light.
-    - `state`: the technique's state for the light.
+    - `surface`: what the camera sees; of many views, `without_looks`.
+    - `stored`: the technique's state for the light, or where an atlas has it.
     - `mask`: (h, w), the pixels that count: where raster and reference see a surface, and the technique covers it.
     - `remarks`: on the scene's files.
     """
 
     key: str
     scene: geometry.Scene
-    state: Any
+    stored: Any
     surface: raster.Surface
     reference: reference.Reference
     mask: Bool[HostArray, "h w"]
     remarks: tuple[str, ...] = ()
+
+    @property
+    def state(self) -> Any:
+        """The technique's state for the light."""
+        return self.stored.whole() if isinstance(self.stored, shadow.StoredMap) else self.stored
 
     @property
     def noise_floor(self) -> float | None:
@@ -36,3 +43,9 @@ class Drawn(NamedTuple):
     def pixels(self) -> int:
         """How many pixels count."""
         return int(self.mask.sum())
+
+
+def without_looks(surface: raster.Surface) -> raster.Surface:
+    """What shadow mapping reads of a surface. Pictures need the whole one, which is then drawn again."""
+    looks = lambda surface: (surface.interpolated_normal, surface.albedo, surface.from_behind)
+    return eqx.tree_at(looks, surface, (None, None, None), is_leaf=lambda leaf: leaf is None)

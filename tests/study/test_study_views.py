@@ -15,6 +15,8 @@ from stored_runs import TINY
 
 from diffshadow import study
 from diffshadow.config import ConfigError, build_fittable, parse_config
+from diffshadow.fit import stack_of
+from diffshadow.study.runs._measure import shaded
 from diffshadow.study.runs._progress import Progress
 from diffshadow.study.runs._setup import draw, load
 from diffshadow.study.runs._views import draw_views
@@ -139,6 +141,56 @@ def test_views_share_meshes_and_what_a_camera_sees_and_are_drawn_as_alone():
         for name in ("visibility", "position", "normal", "face"):
             np.testing.assert_array_equal(getattr(drawn.reference, name), getattr(alone.reference, name))
     assert near.reference.position is other.reference.position
+
+
+def test_many_views_are_in_memory_once_and_their_images_are_the_same(monkeypatch):
+    grid = "{scene.light.azimuth: [-150, -30], scene.camera.orbit.azimuth: [10, 40]}"
+    camera = "scene.camera={resolution: [64, 64], orbit: {distance: 3}}"
+    config = parse_config(TINY, [camera, f"fit.views={{grid: {grid}}}"], fitting=True)
+    progress, technique = Progress(Console(quiet=True)), build_fittable(config)
+    found = []
+    for many in (64, 4):
+        monkeypatch.setattr("diffshadow.study.runs._views._MANY", many)
+        views = draw_views(config, load(config, progress), technique, progress).fitted
+        found.append([view.drawn[0] for view in views])
+    for few, stored in zip(*found, strict=True):
+        np.testing.assert_array_equal(few.state.depth, stored.state.depth)
+        assert stored.stored.rest.depth is None
+        np.testing.assert_array_equal(stored.stored.light.direction, few.state.light.direction)
+        np.testing.assert_array_equal(few.surface.position, stored.surface.position)
+        np.testing.assert_array_equal(few.reference.visibility, stored.reference.visibility)
+        np.testing.assert_array_equal(few.mask, stored.mask)
+        # Nothing that only pictures or rays need.
+        assert (stored.surface.albedo, stored.surface.from_behind) == (None, None)
+        assert stored.reference.position.strides == (0, 0, 0)
+        # Such as are drawn again for a picture.
+        pictures = [shaded(config, [each], [each.reference.visibility]) for each in (few, stored)]
+        np.testing.assert_array_equal(*pictures)
+    _, stored = found
+    assert len({id(each.stored.atlas) for each in stored}) == 1
+    # A stack of them shares their memory.
+    for images in ([each.reference.visibility for each in stored], [each.mask for each in stored]):
+        assert np.shares_memory(stack_of(images), images[0])
+        np.testing.assert_array_equal(stack_of(images), np.stack(images))
+        # In another order they are copied.
+        assert not np.shares_memory(stack_of(images[::-1]), images[0])
+        np.testing.assert_array_equal(stack_of(images[::-1]), np.stack(images[::-1]))
+    surfaces = list({id(each.surface): each.surface.position for each in stored}.values())
+    assert len(surfaces) == 2
+    assert np.shares_memory(stack_of(surfaces), surfaces[0])
+
+
+@pytest.mark.exhaustive
+def test_a_fit_of_many_views_is_that_of_views_one_by_one(tmp_path, monkeypatch):
+    arrays = []
+    for many in (64, 2):
+        monkeypatch.setattr("diffshadow.study.runs._views._MANY", many)
+        with staying_in(tmp_path):
+            folder = study.run_fit(parse_config(TINY, VIEWS, fitting=True), console=Console(quiet=True))
+            arrays.append(dict(np.load(folder / "arrays.npz")))
+    assert arrays[0].keys() == arrays[1].keys()
+    for name, array in arrays[0].items():
+        np.testing.assert_array_equal(array, arrays[1][name])
 
 
 def test_flip_of_many_views_is_of_some_from_all_over():

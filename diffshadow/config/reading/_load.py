@@ -13,6 +13,7 @@ from ...settings.techniques import SingleMap
 from .._errors import ConfigError, Mistake, Origin
 from ..framing._auto import Asked, asked_in
 from ..sections._config import Config
+from ..sections._section import changed
 from ..sections._technique import with_bias
 from ._draft import Draft, load_draft, parse_draft
 from ._files import resolve_files
@@ -160,7 +161,10 @@ def _with_bias_for(config: Config, data: dict[str, Any]) -> tuple[Config, dict[s
     if not len(across):
         return config, data
     data = dict(with_bias(data, float(median(across))))
-    made = Config.model_validate(data)
+    # Only this section changes, and to check all others again would take as long as the first time.
+    made = changed(config, bias=type(config.bias).model_validate(data["bias"]))
+    if any(True for _ in made.faults()):
+        made = Config.model_validate(data)
     made._origin = config.origin
     return made, data
 

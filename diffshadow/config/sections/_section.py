@@ -185,6 +185,9 @@ def _beyond_single_precision(
 ) -> Iterator[Conflict]:
     """A fault for each number in `entries` that float32 cannot represent. Inner sections check themselves."""
     for step, value in entries:
+        # First, since most are, and to look for mappings takes long.
+        if value is None or isinstance(value, str | Section):
+            continue
         if isinstance(value, int | float):
             if value and not _LEAST <= abs(value) <= _MOST:
                 expected = f"0, or a magnitude from {_LEAST:.2g} to {_MOST:.2g}, the range of single precision"

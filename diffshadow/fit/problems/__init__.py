@@ -23,8 +23,10 @@ from ._pose import cone_fraction as cone_fraction
 from ._shape import ShapeProblem as ShapeProblem
 from ._shape import ShapeView as ShapeView
 from ._stack import Atlases as Atlases
+from ._stack import Rows as Rows
 from ._stack import copied_bytes as copied_bytes
 from ._stack import of_one_structure as of_one_structure
+from ._stack import stack_of as stack_of
 from ._stack import stacked_order as stacked_order
 from ._stack import together as together
 from ._technique import TechniqueProblem as TechniqueProblem

@@ -14,7 +14,7 @@ from ..._arithmetic import as_array, as_int
 from ..._device import chunk_size
 from ...raster import Surface
 from ...settings.fit import Search
-from ...shadow import Atlas, ShadowMap
+from ...shadow import Atlas, ShadowMap, StoredMap, without_depths
 from .._own_loss import Seen
 from ._abstract import AbstractProblem
 from ._devices import on_each_device, spread
@@ -25,6 +25,8 @@ _AT_ONCE = 1 << 14, 1 << 19
 # The most texels of an atlas, whose indices are 32-bit numbers, and the most atlases that are kept: a fit of a layout
 # draws its maps again and again.
 _MAX_TEXELS, _MAX_ATLASES = (1 << 31) - 1, 4
+# In bytes, of the arrays that JAX does not copy from the host's memory.
+_ALIGNMENT = 64
 
 
 Atlases = dict[tuple[int, ...], tuple[Atlas, Any]]
@@ -152,7 +154,7 @@ def copied_bytes(problems: Sequence[TechniqueProblem]) -> int:
     """The bytes that stacks of the problems copy: images, each surface once, and maps that cannot be in an atlas."""
     surfaces, _ = _distinct([problem.surface for problem in problems])
     images = [(problem.reference, problem.mask) for problem in problems]
-    maps = [problem.shadow_map for problem in problems if not _is_plain(problem.shadow_map)]
+    maps = [p.shadow_map for p in problems if not (_is_plain(p.shadow_map) or isinstance(p.shadow_map, StoredMap))]
     return sum(getattr(leaf, "nbytes", 0) for leaf in jax.tree.leaves((surfaces, images, maps)))
 
 
@@ -175,6 +177,9 @@ def _has_atlas(shadow_map: Any, count: int) -> bool:
 def _stack(group: Sequence[TechniqueProblem], among: Sequence[TechniqueProblem], atlases: Atlases) -> Stack:
     """The stack of a group, which shares an atlas with all problems whose maps have its size."""
     like = group[0].shadow_map
+    stored = [problem.shadow_map for problem in group if isinstance(problem.shadow_map, StoredMap)]
+    if stored:
+        return Stack.of(group, stored[0].atlas, [int(each.number) for each in stored])
     maps: dict[int, Any] = {id(p.shadow_map): p.shadow_map for p in among if _fits(p.shadow_map, like)}
     if not _has_atlas(like, len(maps)):
         return Stack.of(group, None, [])
@@ -196,7 +201,8 @@ def _distinct[T](things: Sequence[T]) -> tuple[list[T], list[int]]:
 
 
 def _without_depths(problems: Sequence[TechniqueProblem]) -> list[TechniqueProblem]:
-    return [eqx.tree_at(lambda p: p.shadow_map.depth, problem, None) for problem in problems]
+    bare = lambda own: own.rest if isinstance(own, StoredMap) else without_depths(own)
+    return [dataclasses.replace(problem, shadow_map=bare(problem.shadow_map)) for problem in problems]
 
 
 def _fits(shadow_map: Any, like: Any) -> bool:
@@ -210,7 +216,7 @@ def _is_plain(shadow_map: Any) -> bool:
 
 def of_one_structure[P](problems: Sequence[P]) -> list[list[P]]:
     """The problems, or other modules with a `reference`, in groups whose arrays have equal shapes, large images
-    first."""
+    first. Of maps in atlases, each group has one atlas."""
     return [[problems[number] for number in group] for group in _numbers_of_one_structure(problems)]
 
 
@@ -218,12 +224,55 @@ def _numbers_of_one_structure(problems: Sequence[Any]) -> list[list[int]]:
     groups: dict[Any, list[int]] = {}
     for number, problem in enumerate(problems):
         leaves, structure = jax.tree.flatten(problem)
-        groups.setdefault((structure, *((leaf.shape, leaf.dtype) for leaf in leaves)), []).append(number)
+        own = getattr(problem, "shadow_map", None)
+        atlas = id(own.atlas.texels) if isinstance(own, StoredMap) else None
+        groups.setdefault((structure, atlas, *((leaf.shape, leaf.dtype) for leaf in leaves)), []).append(number)
     # In one order, whichever problem comes first: programs depend on it.
     return sorted(groups.values(), key=lambda group: -problems[group[0]].reference.size)
 
 
 def together[P](problems: Sequence[P]) -> P:
-    """One module whose arrays have a leading axis for the images."""
+    """One module whose arrays have a leading axis for the images. `Rows` in their order are not copied."""
+    return jax.tree.map(lambda *leaves: as_array(stack_of([np.asarray(leaf) for leaf in leaves])), *problems)
+
+
+class Rows:
+    """Room on the host for modules of one structure. `together` copies none of those that were put there in turn.
+
+    - `count`: the most that there may be.
+    """
+
+    def __init__(self, count: int):
+        self.count, self._whole = count, []
+        self._taken = 0
+
+    def put[P](self, module: P) -> P:
+        """The module with its arrays here, or the module itself if its arrays have other shapes than the first's."""
+        leaves, structure = jax.tree.flatten(module)
+        if not self._taken:
+            self._whole = [_aligned((self.count, *leaf.shape), leaf.dtype) for leaf in leaves]
+        if [(leaf.shape, leaf.dtype) for leaf in leaves] != [(each.shape[1:], each.dtype) for each in self._whole]:
+            return module
+        for whole, leaf in zip(self._whole, leaves, strict=True):
+            whole[self._taken] = leaf
+        self._taken += 1
+        return jax.tree.unflatten(structure, [whole[self._taken - 1] for whole in self._whole])
+
+
+def _aligned(shape: tuple[int, ...], dtype: Any) -> np.ndarray:
+    """Zeros at an address from which JAX reads them without a copy."""
+    size = math.prod(shape) * np.dtype(dtype).itemsize
+    memory = np.zeros(size + _ALIGNMENT, np.uint8)
+    return np.ndarray(shape, dtype, memory, -memory.ctypes.data % _ALIGNMENT)
+
+
+def stack_of(rows: Sequence[np.ndarray]) -> np.ndarray:
+    """The arrays along a first axis: without a copy if they are `Rows` in their order."""
+    first = rows[0]
+    base, start = first.base, first.ctypes.data
+    follows = lambda i, row: row.base is base and row.ctypes.data == start + i * first.nbytes
+    fits = lambda row: row.flags.c_contiguous and (row.shape, row.dtype) == (first.shape, first.dtype)
+    if isinstance(base, np.ndarray) and all(fits(row) and follows(i, row) for i, row in enumerate(rows)):
+        return np.ndarray((len(rows), *first.shape), first.dtype, base, start - base.ctypes.data)
     # In NumPy, which dispatches nothing for each of the many small arrays.
-    return jax.tree.map(lambda *leaves: as_array(np.stack([np.asarray(leaf) for leaf in leaves])), *problems)
+    return np.stack(rows)

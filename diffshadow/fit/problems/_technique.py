@@ -14,7 +14,7 @@ from ..._types import Mask, Resolution, Scalar, Visibility
 from ...geometry import Scene
 from ...raster import Surface, draw_surface
 from ...reference import Reference
-from ...shadow import EngineMap, FittableTechnique, ShadowMap
+from ...shadow import EngineMap, FittableTechnique, ShadowMap, StoredMap
 from .._own_loss import Seen
 from .._parameters import parameter_names, resolve
 from ._abstract import AbstractProblem
@@ -43,7 +43,7 @@ class TechniqueProblem(AbstractProblem):
     """
 
     technique: FittableTechnique
-    shadow_map: ShadowMap | EngineMap
+    shadow_map: ShadowMap | EngineMap | StoredMap
     surface: Surface
     reference: Visibility
     mask: Mask
@@ -88,12 +88,15 @@ class TechniqueProblem(AbstractProblem):
     def difference(self, subject: FittableTechnique) -> Float[Array, "h w"]:
         """Visibility minus reference at the pixels that count, 0 elsewhere, times the square root of weight and
         factor."""
-        visibility = subject.visibility(self.shadow_map, self.surface)
-        return _weighted(visibility, self.reference, self.mask, self.weight, self.factor)
+        return _weighted(self._visibility(subject), self.reference, self.mask, self.weight, self.factor)
+
+    def _visibility(self, subject: FittableTechnique) -> Visibility:
+        own = self.shadow_map
+        return subject.visibility(own.whole() if isinstance(own, StoredMap) else own, self.surface)
 
     def seen(self, subject: FittableTechnique) -> tuple[Seen, None]:
         """What a user's loss compares. Nothing can overflow, since nothing is drawn."""
-        return _seen(subject.visibility(self.shadow_map, self.surface), self.reference, self.mask), None
+        return _seen(self._visibility(subject), self.reference, self.mask), None
 
     def compared(self, differences: Float[Array, "n h w"]) -> Float[Array, "n h w"]:
         """All of them."""

@@ -9,6 +9,8 @@ To write a filter, use one of these:
 """
 
 from ._atlas import Atlas as Atlas
+from ._atlas import StoredMap as StoredMap
+from ._atlas import without_depths as without_depths
 from ._blur import Blur as Blur
 from ._blur import bilinear_fetch as bilinear_fetch
 from ._blur import check_radius as check_radius

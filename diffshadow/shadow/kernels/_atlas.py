@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from functools import partial
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -12,6 +13,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from ..._arithmetic import as_array, as_int
+from ...geometry import AbstractLight
 from .._map import ShadowMap
 from ._padded_map import PaddedMap, pad
 
@@ -35,12 +37,20 @@ class Atlas(eqx.Module):
     @classmethod
     def of(cls, maps: Sequence[ShadowMap]) -> "Atlas":
         """The atlas of maps without silhouettes whose depths have the same shape."""
-        shape, dtype = maps[0].depth.shape, maps[0].depth.dtype
         # One after another, so that there is never a second copy of all.
-        texels = as_array(np.zeros(cls.size(len(maps), shape), dtype))
+        atlas = cls.of_none(len(maps), maps[0])
         for number, each in enumerate(maps):
-            texels = _with(texels, each, as_int(number))
-        return cls(texels, shape)
+            atlas = atlas.holding(each, number)
+        return atlas
+
+    @classmethod
+    def of_none(cls, count: int, like: ShadowMap) -> "Atlas":
+        """An atlas with room for `count` maps of the size of `like`."""
+        return cls(as_array(np.zeros(cls.size(count, like.depth.shape), like.depth.dtype)), like.depth.shape)
+
+    def holding(self, shadow_map: ShadowMap, number: int) -> "Atlas":
+        """The atlas with this map at the place `number`. The atlas itself can no longer be read."""
+        return Atlas(_with(self.texels, shadow_map, as_int(number)), self.shape)
 
     @staticmethod
     def size(maps: int, shape: tuple[int, ...]) -> int:
@@ -49,16 +59,58 @@ class Atlas(eqx.Module):
 
     def reading(self, shadow_map: ShadowMap, number: Int[Array, ""]) -> ShadowMap:
         """`shadow_map` with its depths replaced by the depths of the map with this number."""
+        *_, height, width = self.shape
+        padded = PaddedMap(self.texels, height, width, _MARGIN, first=self._first_row(number))
+        return ShadowMap(
+            self.depths(number), shadow_map.light, shadow_map.depth_format, padded=padded, view=shadow_map.view
+        )
+
+    def depths(self, number: Int[Array, ""]) -> Float[Array, "*l h w"]:
+        """The depths of the map with this number, which were given."""
         *layers, height, width = self.shape
         stride = width + 2 * _MARGIN
         rows = self.size(1, self.shape) // stride
-        first = as_int(number) * rows
-        own = lax.dynamic_slice(self.texels.reshape(-1, stride), (first, as_int(0)), (rows, stride))
+        own = lax.dynamic_slice(self.texels.reshape(-1, stride), (self._first_row(number), as_int(0)), (rows, stride))
         own = own.reshape(*layers, height + 2 * _MARGIN, stride)[..., _MARGIN:-_MARGIN, _MARGIN:-_MARGIN]
-        padded = PaddedMap(self.texels, height, width, _MARGIN, first=first)
-        return ShadowMap(
-            jnp.minimum(own, 1), shadow_map.light, shadow_map.depth_format, padded=padded, view=shadow_map.view
-        )
+        return jnp.minimum(own, 1)
+
+    def _first_row(self, number: Int[Array, ""]) -> Int[Array, ""]:
+        return as_int(number) * (self.size(1, self.shape) // (self.shape[-1] + 2 * _MARGIN))
+
+
+class StoredMap(eqx.Module):
+    """A shadow map whose depths are in an atlas alone, so that many maps need memory once.
+
+    - `atlas`: with the map at the place `number`.
+    - `rest`: the map without depths.
+    """
+
+    atlas: Atlas
+    number: np.int32 = eqx.field(converter=np.int32)
+    rest: ShadowMap
+
+    @property
+    def light(self) -> AbstractLight:
+        """The light it was drawn from."""
+        return self.rest.light
+
+    def whole(self) -> ShadowMap:
+        """The map, with the same depths to the bit."""
+        return eqx.tree_at(_depth, self.rest, _depths(self.atlas, self.number), is_leaf=lambda leaf: leaf is None)
+
+
+def without_depths(shadow_map: ShadowMap) -> ShadowMap:
+    """A map without its depths, as a program reads it from an atlas."""
+    return eqx.tree_at(_depth, shadow_map, None)
+
+
+def _depth(shadow_map: ShadowMap) -> Any:
+    return shadow_map.depth
+
+
+@jax.jit
+def _depths(atlas: Atlas, number: Int[Array, ""]) -> Float[Array, "*l h w"]:
+    return atlas.depths(number)
 
 
 @partial(jax.jit, donate_argnums=0)

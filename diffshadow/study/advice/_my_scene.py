@@ -31,7 +31,7 @@ def store_pictures(folder: Path, best: Config) -> None:
     images = {TRUTH: np.asarray(drawn.reference.visibility, np.float32)}
     if isinstance(technique, shadow.AbstractEngineShadows):
         own = _with_defaults(technique)
-        images[DEFAULTS] = visibility_of(own, drawn._replace(state=own.prepare(drawn.scene, drawn.surface)))
+        images[DEFAULTS] = visibility_of(own, drawn._replace(stored=own.prepare(drawn.scene, drawn.surface)))
     images[RECOMMENDED] = visibility_of(technique, drawn)
     errors = {name: measured(image, drawn)["rmse"] for name, image in images.items() if name != TRUTH}
     seen = np.asarray(drawn.surface.mask)

@@ -60,7 +60,7 @@ def fit_technique(config: Config, progress: Progress, on_step: Callable[[fit.Ste
         problems: list[Any] = [
             fit.TechniqueProblem(
                 technique,
-                each.state,
+                each.stored,
                 each.surface,
                 as_float(each.reference.visibility),
                 as_array(each.mask),

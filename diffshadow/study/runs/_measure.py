@@ -9,7 +9,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from ... import geometry, metrics, raster, shadow
+from ... import fit, geometry, metrics, raster, shadow
 from ..._arithmetic import as_float
 from ..._types import HostArray
 from ...config import Config, build_shading
@@ -75,7 +75,7 @@ def suffix(index: int, drawn: Sequence[Drawn]) -> str:
 
 def stacked(images: Sequence[Any]) -> np.ndarray:
     """One image (h, w), or the images of several lights (l, h, w)."""
-    return np.asarray(images[0]) if len(images) == 1 else np.stack([np.asarray(image) for image in images])
+    return np.asarray(images[0]) if len(images) == 1 else fit.stack_of([np.asarray(image) for image in images])
 
 
 def light_arrays(drawn: Sequence[Drawn]) -> dict[str, Any]:
@@ -112,7 +112,8 @@ def shade_lit(
         drawn = raster.draw_antialiased(scene.mesh, scene.camera)
         linear = _shaded_antialiased(shading, drawn, seen, lights, scene.camera)
     else:
-        linear = _shaded(shading, surface, seen, lights, scene.camera)
+        whole = raster.draw_surface(scene.mesh, scene.camera) if surface.albedo is None else surface
+        linear = _shaded(shading, whole, seen, lights, scene.camera)
     return to_srgb(np.clip(np.asarray(linear, dtype=np.float64), 0, 1))
 
 

@@ -117,7 +117,7 @@ class FittedRun:
         config, result, drawn = self.config, self.result, self.drawn
         return [
             *self.views.remarks,
-            *layout_remarks(result.technique, [each.key for each in drawn], [each.state for each in drawn]),
+            *layout_remarks(result.technique, [each.key for each in drawn], [each.stored for each in drawn]),
             *self._bias_remarks(),
             *(reference_remarks(config, drawn) if config is not None and len(self.views.all) == 1 else []),
             *remarks(config, result, self.verdict.kind),
@@ -336,7 +336,11 @@ def states_of(
             images, seen = _arranged(result.problems, drawn, subject)
         else:
             seen = _laid_out(subject, laid_out, drawn)
-            images = [visibility_of(subject, each) for each in progress.counted(f"image {when} the fit", seen)]
+            # One after another, so that they are written without a copy.
+            rows = fit.Rows(len(seen))
+            images = [
+                rows.put(visibility_of(subject, each)) for each in progress.counted(f"image {when} the fit", seen)
+            ]
         pairs = progress.counted("errors of image", list(zip(images, drawn, strict=True)))
         states.append(State(images, seen, [measured(*pair) for pair in pairs]))
     return states[0], states[1]
@@ -351,7 +355,7 @@ def _arranged(
         shadow_map, surface = problem.draw(arrangement)
         images.append(np.asarray(problem.image(shadow_map, surface, arrangement.technique), np.float32))
         scene = dataclasses.replace(each.scene, lights=shadow_map.light)
-        seen.append(each._replace(scene=scene, state=shadow_map, surface=surface))
+        seen.append(each._replace(scene=scene, stored=shadow_map, surface=surface))
     return images, seen
 
 
@@ -360,4 +364,4 @@ def _laid_out(
 ) -> list[Drawn]:
     """`drawn`, with maps laid out as the technique says."""
     laid_out: Any = [problem.laid_out(technique) for problem in problems]
-    return [each._replace(state=problem.shadow_map) for each, problem in zip(drawn, laid_out, strict=True)]
+    return [each._replace(stored=problem.shadow_map) for each, problem in zip(drawn, laid_out, strict=True)]
