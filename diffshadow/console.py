@@ -141,6 +141,11 @@ def source(given: Path) -> Path | str:
     return str(given) if str(given).startswith(BUILTIN) else given
 
 
+def to_view(given: Path | str, overrides: Sequence[str] = ()) -> Command:
+    """The command that shows a configuration or a run in a browser."""
+    return Command("See it in the browser, and change its settings by hand.", ["view", given, *overrides])
+
+
 def print_next(console: rich.console.Console, commands: Sequence[Command]) -> None:
     """Prints what to do next. If one path is absolute, all are."""
     if not commands:

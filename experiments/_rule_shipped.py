@@ -149,7 +149,7 @@ def drawable(engine: Exact, case: common.Case, at: shadow.Receiver, pixels: floa
     constant, offset = engine.values_of(technique.biased(frame, shift, frame.texel, distance))
     state = technique.prepare(case.scene, case.surface)
     covered = np.asarray(technique.covered(state, case.surface)) & case.truth.mask
-    # Texels of the engine's first camera beside those of the scene's light.
+    # How much wider the texels of the engine's first camera are than the texels of the scene's light.
     wider = frame.texel / max(float(np.median(np.asarray(at.texel_size)[case.surface.mask])), 1e-30)
     seen = errors.seen_by(case.truth, covered, engine.reach * pixels * wider)
     return Drawable(technique, (constant if has_shift else 1.0, offset), state, seen)

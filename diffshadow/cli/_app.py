@@ -10,7 +10,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.text import Text
 
 from ..config import Config, load_config, printable, settings_file
-from ..console import Command, Console, print_next, source
+from ..console import Command, Console, print_next, source, to_view
 
 SUCCESS, USER_ERROR, INTERRUPTED = 0, 2, 130
 """Exit codes: success; a mistake of the user's; stopped by Ctrl-C."""
@@ -96,7 +96,7 @@ def to_try(config: Path, overrides: Sequence[str] = ()) -> list[Command]:
     given = source(config)
     return [
         Command("Fit its settings; a report shows the result.", ["fit", given, *overrides]),
-        Command("See it in the browser, and change its settings by hand.", ["view", given, *overrides]),
+        to_view(given, overrides),
         Command("Draw it without fitting.", ["render", given, *overrides]),
     ]
 

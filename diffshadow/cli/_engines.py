@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from ..config import load_config, settings_file
-from ..console import Command, Console, source
+from ..console import Command, Console, source, to_view
 from ..settings.engines import EngineName, ImportedTechnique, ShadowType, ThreeJs
 from ..settings.scene import LightKind
 from ..settings.techniques import ShaderLanguage
@@ -44,7 +44,7 @@ def convert(config: Path, /, *overrides: str, engine: EngineName | None = None) 
 
     study.convert(settings, console=Console(), origin=origin, source=config, overrides=overrides, engine=engine)
     given = source(config)
-    commands = [study.for_engine(given, overrides, engine), study.to_view(given, overrides)]
+    commands = [study.for_engine(given, overrides, engine), to_view(given, overrides)]
     if settings.technique.type == "shadow_map":
         commands.append(Command("Write it as a shader for your own renderer.", ["export", given, *overrides]))
     print_end(None, commands)
@@ -89,7 +89,7 @@ def export(
     folder = Path(f"{settings.name}-shader") if output is None else output
     compared = study.compared_with(settings, file, overrides) if page else None
     made = study.export_shader(settings, folder, shader, console=Console(), origin=origin, compared=compared)
-    print_end(made, [study.to_view(source(config), overrides), study.to_convert(source(config), overrides)])
+    print_end(made, [to_view(source(config), overrides), study.to_convert(source(config), overrides)])
 
 
 @app.command

@@ -44,7 +44,8 @@ def view(config: Path, /, *overrides: str, port: int = 0, browser: bool = True) 
 
     settings = lambda: loaded(file, overrides)
     run(settings, name=str(config), console=Console(), port=port, browser=browser, start=start_jax)
-    print_end(None, to_try(config, overrides)[::2])
+    to_fit, _, to_render = to_try(config, overrides)
+    print_end(None, [to_fit, to_render])
     # Threads that draw or trace would delay an ordinary exit.
     sys.stdout.flush()
     os._exit(SUCCESS)

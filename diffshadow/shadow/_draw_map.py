@@ -128,7 +128,8 @@ def _depths(mesh: Mesh, view: View, settings: "MapSettings", buffer: Resolution 
     draw = lambda each: _layer_depths(mesh, each[0], each[1], each[2], view, settings, buffer)
     if clip.ndim == 2 or is_on_gpu() or math.prod(settings.resolution) <= _MAX_TOGETHER:
         return draw(views)
-    # Arrays of all views at once leave the cache, and the C library takes those of more than 64 MiB from fresh pages.
+    # Arrays of all views at once do not fit in the cache, and the C library takes arrays of more than 64 MiB from fresh
+    # pages.
     if is_traced((clip, mesh)):
         return lax.map(draw, views)
     # What is ready is copied in this thread, whose memory the C library keeps whatever its size.

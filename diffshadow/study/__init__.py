@@ -11,7 +11,6 @@ from .pages._next import after_comparison as after_comparison
 from .pages._next import after_defaults as after_defaults
 from .pages._next import for_engine as for_engine
 from .pages._next import to_convert as to_convert
-from .pages._next import to_view as to_view
 from .record._files import add_files as add_files
 from .record._stored import VisibilityRun as VisibilityRun
 from .record._stored import is_fit as is_fit

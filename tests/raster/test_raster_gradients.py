@@ -112,7 +112,7 @@ def test_derivatives_of_depth_in_bands_are_those_of_the_whole_image(monkeypatch)
 def test_the_gradient_of_a_large_depth_map_fits_into_a_heap_of_the_c_library():
     clip = jnp.zeros((MESH.vertices.shape[0], 4))
     program = depth_gradient().lower(clip, jax.ShapeDtypeStruct((2048, 2048), jnp.int32), MESH.faces).compile()
-    # The heap has 64 MiB, of which the face map that is drawn before takes 16.
+    # The heap has 64 MiB. The face map, which is drawn first, takes 16 MiB of it.
     assert program.memory_analysis().temp_size_in_bytes < 48 << 20
 
 

@@ -203,7 +203,7 @@ def test_cascades_of_large_maps_have_the_same_derivatives(large_maps):
         depth, pull = jax.vjp(lambda moved: draw_shadow_map(moved, light, size).depth, moved)
         return depth, pull(jnp.cos(depth))[0].vertices
 
-    # A function of its own is traced anew.
+    # JAX traces a new function again.
     together, one_by_one = large_maps(TEXELS, lambda: jax.jit(lambda v: depth_and_gradient(v))(mesh.vertices))
     np.testing.assert_array_equal(one_by_one[0], together[0])
     assert np.abs(together[1]).max() > 0.1

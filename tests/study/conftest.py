@@ -14,6 +14,15 @@ _ONE_PIXEL = {
 }
 
 
+@pytest.fixture(scope="module")
+def gl():
+    """A context of OpenGL; tests are skipped where there is none."""
+    pytest.importorskip("moderngl")
+    from shader_chains import ByOpenGL
+
+    return ByOpenGL().context
+
+
 @pytest.fixture
 def interrupts():
     """Interrupts raise, also where the tests run in the background of a shell, which has them ignored."""

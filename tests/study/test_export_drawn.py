@@ -36,17 +36,6 @@ void main() { world = position; gl_Position = world_to_clip * vec4(position, 1.0
 (SHADED,) = re.findall(r"```glsl\n(#version 330\n.*?)```", (ROOT / "docs" / "export.md").read_text(), re.DOTALL)
 
 
-@pytest.fixture(scope="module")
-def gl():
-    pytest.importorskip("moderngl")
-    from _opengl import OpenGL
-
-    try:
-        return OpenGL().context
-    except Exception as error:
-        pytest.skip(f"there is no OpenGL here: {error}")
-
-
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("kernel", ["{type: pcf, radius: 1.5}", "{type: random_disk, radius: 2.5}"])
 def test_a_renderer_with_the_exported_files_draws_our_picture(gl, tmp_path, kernel):

@@ -73,17 +73,6 @@ CASES = {
 }
 
 
-@pytest.fixture(scope="module")
-def gl():
-    pytest.importorskip("moderngl")
-    from _opengl import OpenGL
-
-    try:
-        return OpenGL().context
-    except Exception as error:
-        pytest.skip(f"there is no OpenGL here: {error}")
-
-
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("name", CASES)
 def test_a_renderer_with_the_exported_files_draws_our_picture(gl, tmp_path, name):

@@ -66,7 +66,7 @@ def rendered(config):
 
 
 def equal_share(config, picture):
-    """The share of pixels of a picture's file that are those of a render within 2 / 255."""
+    """The share of pixels in a picture's file that differ from a render by at most 2 / 255."""
     return float((np.abs(np.asarray(Image.open(picture))[..., :3] - rendered(config)) <= 2).all(axis=-1).mean())
 
 

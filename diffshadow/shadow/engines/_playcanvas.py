@@ -276,10 +276,10 @@ class PlayCanvas(AbstractEngineShadows):
             lines += [f"// material.cull of each mesh: {', '.join(f'pc.CULLFACE_{culls[one]}' for one in self.side)}"]
         else:
             lines += [f"material.cull = pc.CULLFACE_{culls[self.side]};"]
-        depends_on = "shadowDistance and view camera" if given.type == "directional" else "range"
+        others = "shadowDistance and view camera" if given.type == "directional" else "range"
         return [
             "// PlayCanvas 2.23, WebGL2.",
-            f"// Valid for this map size, {depends_on}: fit it again for others.",
+            f"// Valid for this map size, {others}: fit it again for others.",
             *lines,
         ]
 

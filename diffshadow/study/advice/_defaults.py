@@ -15,7 +15,7 @@ from ...settings.engines import ENGINES, POLYGON_OFFSETS, EngineName
 from ...settings.quantities import FARTHEST, MAX_TEXELS
 from ...settings.rules import Worth
 from ...settings.scene import LightKind
-from ...shadow import ENGINE_TECHNIQUES, BabylonJs, engine_settings, light_frame
+from ...shadow import ENGINE_TECHNIQUES, BabylonJs, LightFrame, engine_settings, light_frame
 from ..pages import _table as table
 from ..runs._formula_engines import FORMULA_ENGINES, beside, lines_of
 
@@ -258,18 +258,18 @@ def _print_filter(name: str, radius: float | None, console: Console) -> None:
 def _print_engine(engine: EngineName, of_map: LightOptions, console: Console) -> None:
     rule, size = rules.ENGINE_RULES[engine], of_map.map or 0
     light, distance = of_map.made()
-    texel = light_frame(light, (size, size), distance).texel
+    frame = light_frame(light, (size, size), distance)
     is_exact = engine in ENGINE_TECHNIQUES and of_map.light in ENGINE_TECHNIQUES[engine].settings.kinds
     if is_exact or rule.is_own:
-        lines = _exact_lines(engine, light, size, distance)
+        lines = _exact_lines(engine, frame, size, distance)
     else:
-        lines = _formula_lines(engine, of_map, distance)
+        lines = _formula_lines(engine, light, frame, size, distance)
     title = f"{ENGINES[engine]}, {_MEASURED[engine]}"
     if not rule.is_own:
         title += f": {rule.constant:.3g} texels towards the light"
         title += f", and {rule.normal_offset:.3g} texels along the normal" if rule.normal_offset else ""
     at = "" if light.is_directional else f" at the distance {distance:g}"
-    table.print_code(console, f"{title}; a texel is {texel:.4g} world units wide{at}", "\n".join(lines))
+    table.print_code(console, f"{title}; a texel is {frame.texel:.4g} world units wide{at}", "\n".join(lines))
     table.print_lines(
         console,
         [
@@ -277,7 +277,7 @@ def _print_engine(engine: EngineName, of_map: LightOptions, console: Console) ->
             *([_IN_METRES] if rule.is_own else []),
             _sentence(rule.worth),
             f"the default of {ENGINES[engine]}: {_sentence(rule.shipped)}",
-            *([] if light.is_directional else [_THERE_ONLY]),
+            *([] if light.is_directional or rule.is_own else [_THERE_ONLY]),
             *([] if is_exact else [f"read from {ENGINES[engine]}'s sources, and not verified against the engine"]),
         ],
     )
@@ -299,12 +299,11 @@ _SET_UP: Mapping[EngineName, Sequence[str]] = {
 _OWNERS: Mapping[EngineName, str] = {"three.js": "light.shadow", "babylon.js": "generator"}
 
 
-def _exact_lines(engine: EngineName, light: AbstractLight, size: int, distance: float) -> list[str]:
+def _exact_lines(engine: EngineName, frame: LightFrame, size: int, distance: float) -> list[str]:
     rule, kind = rules.ENGINE_RULES[engine], ENGINE_TECHNIQUES[engine]
     values = [rule.constant, rule.normal_offset]
     if not rule.is_own:
         technique = BabylonJs(filter="PCF") if engine == "babylon.js" else kind()  # pyright: ignore[reportCallIssue]
-        frame = light_frame(light, (size, size), distance)
         technique = technique.biased(frame, rule.constant * frame.texel, rule.normal_offset * frame.texel, distance)
         values = [float(getattr(technique, key)) + 0.0 for key in kind.settings.biases]
     end = "" if kind.settings.suffix == "gd" else ";"
@@ -313,20 +312,22 @@ def _exact_lines(engine: EngineName, light: AbstractLight, size: int, distance: 
     return [*(line.format(size=size) for line in _SET_UP[engine]), *settings]
 
 
-def _formula_lines(engine: EngineName, of_map: LightOptions, distance: float) -> list[str]:
+def _formula_lines(
+    engine: EngineName, light: AbstractLight, frame: LightFrame, size: int, distance: float
+) -> list[str]:
     """**Raises** `ValueError` if the engine has no bias for the light."""
-    rule, known, (light, _) = rules.ENGINE_RULES[engine], FORMULA_ENGINES[engine], of_map.made()
-    size = (of_map.map or 0, of_map.map or 0)
-    found = engine_settings(light, size, 1.0, 1.0, distance)
+    rule, known, resolution = rules.ENGINE_RULES[engine], FORMULA_ENGINES[engine], (size, size)
+    found = engine_settings(light, resolution, 1.0, 1.0, distance)
     has = {each.setting for each in found if each.engine == ENGINES[engine] and each.value}
     if known.bias not in has:
         raise ValueError(
-            f"{ENGINES[engine]} has no bias for a {of_map.light} light that is known here; expected another light"
+            f"{ENGINES[engine]} has no bias for a {frame.kind} light that is known here; expected another light"
         )
-    shift = rule.constant * light_frame(light, size, distance).texel
+    shift = rule.constant * frame.texel
     offset = rule.normal_offset if known.offset in has else 0.0
     chosen = next(each for each in known.filters if each.label == _MEASURED[engine])
-    return lines_of(engine, chosen, float(chosen.section.get("radius", 0.0)), light, size, shift, offset, distance)
+    radius = float(chosen.section.get("radius", 0.0))
+    return lines_of(engine, chosen, radius, light, resolution, shift, offset, distance)
 
 
 def _cells(worth: Worth) -> list[str]:

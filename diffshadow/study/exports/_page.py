@@ -230,11 +230,10 @@ def _light_of(light: geometry.AbstractLight, intensity: Any) -> dict[str, Any]:
         place = [*_numbers(normalize(light.towards(jnp.zeros(3)))), 0.0]
     else:
         place = [*_numbers(np.linalg.inv(to_eye.reshape(-1, 4, 4)[0])[:3, 3]), 1.0]
-    cone = {"axis": [0.0, 0.0, -1.0], "cone_outer": 0.0, "cone_width": 1.0}
-    has_cone = isinstance(light, geometry.SpotLight) and light.inner_angle is not None
+    cone, has_cone = {"axis": [0.0, 0.0, -1.0], "cone_outer": 0.0, "cone_width": 1.0}, False
     if isinstance(light, geometry.SpotLight) and light.inner_angle is not None:
         inner, outer = (float(np.cos(np.deg2rad(float(angle)))) for angle in (light.inner_angle, light.outer_angle))
-        axis = np.asarray(light.direction, np.float64)
+        axis, has_cone = np.asarray(light.direction, np.float64), True
         cone = {
             "axis": (axis / np.linalg.norm(axis)).tolist(),
             "cone_outer": outer,

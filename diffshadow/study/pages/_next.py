@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ...config import CONFIG_FILE, FITTED_FILE, RECOMMENDED_FILE
-from ...console import Command
+from ...console import Command, to_view
 from ...settings.engines import ENGINES, EngineName
 from ..record._folder import final_folder
 from ..record._runs import FitRecord, FolderRecord
@@ -18,17 +18,12 @@ _OTHERS = ", ".join(name for name in ENGINES if name != _FIRST_ENGINE)
 
 
 def for_engine(source: Path | str, overrides: Sequence[str] = (), engine: EngineName | None = None) -> Command:
-    """The command that recommends settings of an engine for the views of `source`; without an engine, the command has a
-    placeholder."""
+    """The command that recommends settings of an engine for the views of `source`. Without an engine, the command is
+    for three.js, and its sentence names the others."""
     name = engine or _FIRST_ENGINE
     others = "" if engine else f"; or for {_OTHERS}"
     why = f"Find the best bias and filter that {ENGINES[name]} has, with the code to paste{others}."
     return Command(why, ["advise", source, *overrides, "--engine", name])
-
-
-def to_view(source: Path | str, overrides: Sequence[str] = ()) -> Command:
-    """The command that shows `source` in a browser."""
-    return Command("See it in the browser, and change its settings by hand.", ["view", source, *overrides])
 
 
 def to_convert(source: Path | str, overrides: Sequence[str] = ()) -> Command:
@@ -115,8 +110,8 @@ def after_sweep(folder: Path, kind: str, best: Path | None, command: str) -> lis
 
 
 def after_defaults(filter: str | None, radius: float | None, engine: EngineName | None) -> list[Command]:
-    """The commands after rules of thumb for the `filter` and the `engine`. The package's own scene is a placeholder for
-    the user's scene."""
+    """The commands after rules of thumb for the `filter` and the `engine`. They fit the package's own scene, since no
+    scene of the user's is known."""
     overrides = [] if filter is None else [f"filter.type={filter}"]
     overrides += [] if radius is None else [f"filter.radius={radius:g}"]
     why = "Fit the bias to a scene; in place of builtin:quickstart, give your mesh file."

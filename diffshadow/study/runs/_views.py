@@ -128,7 +128,7 @@ class _Kept:
         return self.seen[sight]
 
     def keep(self, drawn: Drawn) -> Drawn:
-        """The same; of many views, with its map and its reference where those of the others are."""
+        """The view; if there are many, with its map, reference and mask in the memory that they share."""
         if self.maps is None:
             return drawn
         visibility, mask = self.truths.put((drawn.reference.visibility, drawn.mask))
