@@ -10,7 +10,10 @@ import numpy as np
 from jax import lax
 from jax.core import Tracer
 from jax.custom_batching import custom_vmap
+from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
+
+from ._device import is_on_gpu
 
 
 def as_float(x: Any) -> Array:
@@ -114,6 +117,25 @@ def take(values: Array, index: Int[Array, "*n"]) -> Array:
 def take_last(values: Array, index: Int[Array, "*n"]) -> Array:
     """`values[..., index]`, as `take` does it along the first axis."""
     return values.at[..., index].get(mode="promise_in_bounds", wrap_negative_indices=False)
+
+
+_SUMS_AT_ONCE = 8
+
+
+def sums_up_to(values: Int[Array, " n"] | Bool[Array, " n"], dtype: DTypeLike = jnp.int32) -> Int[Array, " n"]:
+    """The sum of the values up to each, with it: `jnp.cumsum` of integers or Booleans.
+
+    XLA compiles `jnp.cumsum` for a CPU to a tree of up to ten kernels. It compiles a loop to one, which takes less than
+    half of the time to compile, and less to run.
+    """
+    if is_on_gpu():
+        return jnp.cumsum(values, dtype=dtype)
+
+    def add(total: Array, value: Array) -> tuple[Array, Array]:
+        total = total + value
+        return total, total
+
+    return lax.scan(add, jnp.zeros((), dtype), values.astype(dtype), unroll=_SUMS_AT_ONCE)[1]
 
 
 _RUN = 32

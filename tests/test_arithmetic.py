@@ -8,7 +8,7 @@ import pytest
 from jax import lax
 from scenes import compiled_programs
 
-from diffshadow._arithmetic import as_array, as_float, for_any, in_unit_range, safe_divide, safe_norm
+from diffshadow._arithmetic import as_array, as_float, for_any, in_unit_range, safe_divide, safe_norm, sums_up_to
 from diffshadow._padding import round_up_to_power_of_two
 
 
@@ -23,6 +23,15 @@ def test_a_quotient_by_zero_is_the_other_value_and_has_no_slope():
     value, slope = jax.vmap(jax.value_and_grad(quotient))(jnp.array([[3.0, 0.0], [3.0, 2.0]]))
     np.testing.assert_allclose(value, [7, 1.5])
     np.testing.assert_allclose(slope, [[0, 0], [0.5, -0.75]])
+
+
+@pytest.mark.parametrize("count", [0, 1, 8, 21])
+def test_sums_up_to_each_value_are_those_of_numpy(count):
+    values = np.random.default_rng(count).integers(-4, 5, count, np.int32)
+    found = sums_up_to(jnp.asarray(values))
+    assert found.dtype == jnp.int32
+    np.testing.assert_array_equal(found, np.cumsum(values))
+    np.testing.assert_array_equal(jax.vmap(sums_up_to)(jnp.ones((2, count), bool)), [np.arange(count) + 1] * 2)
 
 
 def test_what_is_kept_in_range_has_second_derivatives():

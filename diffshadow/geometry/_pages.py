@@ -8,7 +8,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from .._arithmetic import take
+from .._arithmetic import sums_up_to, take
 
 Whole = Int[Array, "*n"]
 Broadcast = Int[Array, "*#n"]
@@ -63,7 +63,7 @@ class Pages(eqx.Module):
         - `capacity`: the number of layers, at least as many as are resident.
         """
         starts = _starts(levels)
-        layer = jnp.where(resident, jnp.cumsum(resident, dtype=jnp.int32) - 1, capacity)
+        layer = jnp.where(resident, sums_up_to(resident) - 1, capacity)
         numbers = jnp.arange(resident.shape[0], dtype=jnp.int32)
         # Layers without a page show the root.
         shown = jnp.full(capacity, starts[-1], jnp.int32).at[layer].set(numbers, mode="drop")

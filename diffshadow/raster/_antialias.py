@@ -29,7 +29,7 @@ from ._interpolate import Points
 from ._plane_crossings import crossing_faces, plane_crossings
 from ._rasterize import NO_FACE
 from ._sides import Around, Sides, adjoining
-from ._surface import Surface, passes_at_points, surface_at_centres, surface_at_points
+from ._surface import Surface, passes_at_points, surface_at_points
 from ._within_pixels import points_within_pixels
 
 # Both sides of a line are shaded so far away from it, in pixels.
@@ -288,10 +288,10 @@ def _antialiased(
     sides_at = [(pieces.nearest + by) * (2 / np.array([width, height])) - 1 for by in (-aside, aside)]
     points = Points(*(in_rows([at[:, k] for at in sides_at], 0) for k in range(2)))
     of_sides = in_rows([sides.left, sides.right], NO_FACE)
-    beside = surface_at_points(mesh, eye, view, of_sides, clip, points)
-    surface = jax.tree.map(
-        lambda *parts: jnp.concatenate(parts), surface_at_centres(mesh, eye, view, centres, clip), beside
+    everywhere = jax.tree.map(
+        lambda *parts: jnp.concatenate(parts), Points.centres((height, width), clip.dtype), points
     )
+    surface = surface_at_points(mesh, eye, view, jnp.concatenate([centres, of_sides]), clip, everywhere)
     in_sight = sides.in_sight
     if mesh.alpha_test is not None:
         # No line is seen where the alpha test cuts out a face beside it.

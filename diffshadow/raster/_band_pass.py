@@ -14,7 +14,7 @@ from jax import lax
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int
 
-from .._arithmetic import take
+from .._arithmetic import sums_up_to, take
 from .._device import is_on_gpu
 from .._types import ClipVertices, Faces, Resolution, Viewport
 from ._alpha_test import AlphaTest
@@ -146,7 +146,7 @@ def _by_band(
     number, keys = groups.starts[CLIPPED], bands * (LARGE + 1) + 1
     is_sorted = jnp.arange(key.shape[0], dtype=jnp.int32) < number
     counts = jnp.zeros(keys, jnp.int32).at[jnp.where(is_sorted, key, keys)].add(1, mode="drop")
-    starts = jnp.cumsum(counts, dtype=jnp.int32) - counts
+    starts = sums_up_to(counts) - counts
 
     def put(i: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         following, elements = carry

@@ -165,8 +165,8 @@ class Pieces(eqx.Module):
         cut, wall, is_hidden = _junctions(pixel, height * width, *ends, take(adjoining, segment))
         # Those that are cut have a second part.
         is_cut = cut < 1
-        again = jnp.nonzero(is_cut, size=max(capacity // _CUT, 1), fill_value=0)[0]
-        cuts = jnp.sum(is_cut)
+        cuts = Items.of(is_cut.astype(jnp.int32))
+        again, _, _ = cuts.chunk(0, max(capacity // _CUT, 1))
         both = lambda values: jnp.concatenate([values, values[again]])
         number = jnp.arange(capacity + again.size)
         is_second = number >= capacity
@@ -175,7 +175,7 @@ class Pieces(eqx.Module):
         )
         part = first + cut * (last - first)
         first, last = jnp.where(is_second, part, first), jnp.where(is_second | (cut >= 1), last, part)
-        pixel = jnp.where(number >= capacity + cuts, height * width, pixel)
+        pixel = jnp.where(number >= capacity + cuts.total, height * width, pixel)
 
         exists = pixel < height * width
         start, end = take(start, segment), take(end, segment)
@@ -209,7 +209,7 @@ class Pieces(eqx.Module):
             wall=wall,
             # The part of a cut piece that begins or ends on the left of its wall is behind that wall's surface.
             hidden=is_hidden & (jnp.sum(wall[:, :2] * middle, axis=1) + wall[:, 2] < 0),
-            is_whole=cuts <= again.size,
+            is_whole=cuts.total <= again.size,
         )
 
 

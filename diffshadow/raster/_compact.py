@@ -3,11 +3,10 @@
 from typing import NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Int
 
-from .._arithmetic import take
+from .._arithmetic import sums_up_to, take
 from .._device import is_on_gpu
 
 # Elements are counted in runs of this length, so that the count of a class in a run fits into 5 bits, and the counts of
@@ -15,13 +14,6 @@ from .._device import is_on_gpu
 _RUN = 16
 _BITS = 5
 _MAX_CLASSES = 6
-
-
-class Ranks(NamedTuple):
-    """`rank` (n,) is each element's index within its class; `counts` (c,) is the size of each class."""
-
-    rank: Int[Array, " n"]
-    counts: Int[Array, " c"]
 
 
 class Groups(NamedTuple):
@@ -41,11 +33,10 @@ class Groups(NamedTuple):
         return take(self.elements, jnp.where(used, self.starts[of_class] + rank, 0)), used
 
 
-def rank_in_class(classes: Int[Array, " n"], number: int) -> Ranks:
-    """The rank of each element within its class, for classes 0 to `number - 1`, at most six.
+def group(classes: Int[Array, " n"], number: int) -> Groups:
+    """The elements of each class, for classes 0 to `number - 1`, at most six; class -1 is left out.
 
-    The order within a class is fixed, but differs from the elements' order. The rank of an element without a class is
-    meaningless.
+    The order within a class is fixed, but differs from the elements' order.
 
     A prefix sum over all elements for each class would take most of a frame. Here one prefix sum over short runs serves
     all classes. Runs are laid out across memory so that it vectorizes, and only the runs' totals are summed further.
@@ -60,25 +51,12 @@ def rank_in_class(classes: Int[Array, " n"], number: int) -> Ranks:
 
     packed, within = lax.scan(count, jnp.zeros_like(runs[0]), runs, unroll=is_on_gpu())
     totals = packed >> jnp.arange(number, dtype=jnp.int32)[:, None] * _BITS & (1 << _BITS) - 1
-    through = jnp.cumsum(totals, axis=1, dtype=jnp.int32)
+    # Over all runs of the first class, then over all of the second, and so on.
+    through = sums_up_to(totals.reshape(-1)).reshape(totals.shape)
     before = lax.optimization_barrier(through - totals)
-    rank = within + sum(jnp.where(runs == k, before[k], 0) for k in range(number))
-    return Ranks(rank.reshape(-1)[:n], through[:, -1])
-
-
-def group(classes: Int[Array, " n"], number: int) -> Groups:
-    """The elements of each class, for classes 0 to `number - 1`; class -1 is left out."""
-    ranks = rank_in_class(classes, number)
-    starts = sums_up_to(ranks.counts) - ranks.counts
-    place = sum(jnp.where(classes == k, starts[k] + ranks.rank, 0) for k in range(number))
+    place = within + sum(jnp.where(runs == k, before[k], 0) for k in range(number))
     # Elements without a class have no place.
-    place = jnp.where(classes >= 0, place, classes.shape[0])
-    indices = jnp.arange(classes.shape[0], dtype=jnp.int32)
+    place = jnp.where(runs >= 0, place, n).reshape(-1)[:n]
+    indices = jnp.arange(n, dtype=jnp.int32)
     elements = jnp.zeros_like(indices).at[place].set(indices, mode="drop", wrap_negative_indices=False)
-    return Groups(elements, starts, ranks.counts)
-
-
-def sums_up_to(values: Int[Array, " c"]) -> Int[Array, " c"]:
-    """The sum of the values up to each, with it: `jnp.cumsum` for a few values, as one kernel instead of several."""
-    through = np.tri(values.shape[0], dtype=bool)
-    return jnp.sum(jnp.where(through, values, 0), axis=1, dtype=jnp.int32)
+    return Groups(elements, before[:, 0], through[:, -1] - before[:, 0])

@@ -40,9 +40,9 @@ class EdgeForm(eqx.Module):
     y: Int[Array, " n"]
     row: Int[Array, " n"]
     column: Int[Array, " n"]
-    edge: list[Int[Array, " n"]]
-    a: list[Int[Array, " n"]]
-    b: list[Int[Array, " n"]]
+    edge: Int[Array, "3 n"]
+    a: Int[Array, "3 n"]
+    b: Int[Array, "3 n"]
     plane: DepthPlane
     least: Float[Array, " n"]
     greatest: Float[Array, " n"]
@@ -72,11 +72,9 @@ def edge_form(
     """
     turn = jnp.where(signed_area(corners.x, corners.y) < 0, -1, 1)
     centre_x, centre_y = ((pixel << SUBPIXEL_BITS) + SUBPIXELS // 2 for pixel in (x, y))
-    edges = []
-    for k, following in enumerate((1, 2, 0)):
-        a, b = turn * (corners.y[k] - corners.y[following]), turn * (corners.x[following] - corners.x[k])
-        edges.append((edge_at_pixel(a, b, centre_x - corners.x[k], centre_y - corners.y[k], owns_edge(a, b)), a, b))
-    edge, a, b = (list(values) for values in zip(*edges, strict=True))
+    following_x, following_y = (jnp.roll(values, -1, axis=0) for values in (corners.x, corners.y))
+    a, b = turn * (corners.y - following_y), turn * (following_x - corners.x)
+    edge = edge_at_pixel(a, b, centre_x - corners.x, centre_y - corners.y, owns_edge(a, b))
 
     least = jnp.minimum(jnp.minimum(corners.z[0], corners.z[1]), corners.z[2])
     greatest = jnp.maximum(jnp.maximum(corners.z[0], corners.z[1]), corners.z[2])

@@ -9,6 +9,7 @@ perspective-correct barycentric coordinates are `b_i ∝ x'_j y'_k - x'_k y'_j` 
 Greer 1997): no divide by `w`, so faces that reach behind the eye need no clipping here.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -17,11 +18,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int
 
 from .._arithmetic import safe_divide, take, take_in_runs, with_gradient_of
 from .._device import chunk_size, is_on_gpu
-from .._types import ClipVertices, DepthMap, FaceMap, Faces, Mask, VectorMap
+from .._types import ClipVertices, DepthMap, FaceMap, Faces, Mask, Resolution, VectorMap
 from ..geometry import Tile
 
 # A pixel centre may lie outside its face by the half sub-pixel of snapping. For a sliver that can be many times its
@@ -47,10 +49,16 @@ class Rows(NamedTuple):
 
 
 class Points(NamedTuple):
-    """Places in the window: normalized device coordinates, (n,) each."""
+    """Places in the window: normalized device coordinates, (*n,) each."""
 
-    x: Float[Array, " n"]
-    y: Float[Array, " n"]
+    x: Float[Array, "*n"]
+    y: Float[Array, "*n"]
+
+    @classmethod
+    def centres(cls, resolution: Resolution, dtype: DTypeLike) -> "Points":
+        """The centres of an image's pixels, (h, w) each."""
+        centres = _centres(resolution, Rows(0, resolution[0]), dtype)
+        return cls(*(jnp.broadcast_to(along, resolution) for along in centres))
 
 
 def by_bands(
@@ -71,12 +79,17 @@ def by_bands(
     band = band or chunk_size(_BAND, _BAND_ON_GPU)
     if height * width <= band:
         return function(images, Rows(0, height, tile))
-    # The most rows that divide the height.
-    rows = next(n for n in range(max(band // width, 1), 0, -1) if height % n == 0)
-    bands = jax.tree.map(lambda image: image.reshape(-1, rows, width), images)
-    bands = bands, jnp.arange(0, height, rows, dtype=jnp.int32)
+    # A number of rows that divides the height, if one is large enough. Otherwise the last band is padded.
+    most = max(band // width, 1)
+    rows = next(
+        (n for n in range(most, most // 2, -1) if height % n == 0), math.ceil(height / math.ceil(height / most))
+    )
+    count = math.ceil(height / rows)
+    padded = jax.tree.map(lambda image: jnp.pad(image, ((0, count * rows - height), (0, 0))), images)
+    bands = jax.tree.map(lambda image: image.reshape(count, rows, width), padded)
+    bands = bands, jnp.arange(0, count * rows, rows, dtype=jnp.int32)
     found = lax.map(lambda part: function(part[0], Rows(part[1], height, tile)), bands)
-    return jax.tree.map(lambda values: values.reshape(height, *values.shape[2:]), found)
+    return jax.tree.map(lambda values: values.reshape(count * rows, *values.shape[2:])[:height], found)
 
 
 def corner_values(attribute: Float[Array, "v c"], faces: Faces, pixels: int) -> CornerValues:

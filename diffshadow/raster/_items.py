@@ -7,7 +7,7 @@ from jax import lax
 from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Int
 
-from .._arithmetic import take
+from .._arithmetic import sums_up_to, take
 from .._device import is_on_gpu
 
 # With no more owners than this to an item, a CPU takes less time to mark where each one's items end than to search.
@@ -27,7 +27,7 @@ class Items(NamedTuple):
     @classmethod
     def of(cls, lengths: Int[Array, " n"], dtype: DTypeLike = jnp.int32) -> "Items":
         """Items of owners that have so many each; `dtype` is the type of items' numbers."""
-        return cls(lengths, jnp.cumsum(lengths, dtype=dtype))
+        return cls(lengths, sums_up_to(lengths, dtype))
 
     @property
     def total(self) -> Int[Array, ""]:
@@ -58,4 +58,4 @@ class Items(NamedTuple):
         if self.ends.shape[0] > _MAX_MARKS * count:
             return jnp.searchsorted(self.ends, item, side="right").astype(jnp.int32)
         marks = jnp.zeros(count + 1, jnp.int32).at[jnp.clip(self.ends - item[0], 0, count)].add(1)
-        return jnp.cumsum(marks[:-1], dtype=jnp.int32)
+        return sums_up_to(marks[:-1])

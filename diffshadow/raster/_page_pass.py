@@ -14,7 +14,7 @@ from jax import lax
 from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
-from .._arithmetic import take
+from .._arithmetic import sums_up_to, take
 from .._types import ClipVertices, Faces
 from ..geometry import Pages, Textures
 from ._alpha_test import AlphaTest
@@ -174,7 +174,7 @@ def _binned_level(clip: ClipVertices, faces: Faces, pages: Pages, level: Int[Arr
     pages_to_cell = jnp.maximum(across // most, 1)
     corner = jnp.where(mine, pages.row // pages_to_cell + 1, most + 1), pages.column // pages_to_cell + 1
     within = jnp.zeros((most + 1, most + 1), jnp.int32).at[corner].set(1, mode="drop")
-    within = jnp.cumsum(jnp.cumsum(within, axis=0, dtype=jnp.int32), axis=1, dtype=jnp.int32).reshape(-1)
+    within = jax.vmap(sums_up_to)(jax.vmap(sums_up_to, 1, 1)(within)).reshape(-1)
 
     def touched(box: Box) -> Box:
         """The columns and rows of pages whose layers a box touches. Layers at the map's border reach further in."""

@@ -44,8 +44,8 @@ class WindowPlanes(NamedTuple):
     ) -> "WindowPlanes":
         """The planes of faces about places in pixels; the formula is that of `_interpolate._depth_planes`."""
         height, width = resolution
-        corners = take(faces, jnp.maximum(face, 0))
-        x, y, z, w = ([take(clip[:, c], corners[..., k]) for k in range(3)] for c in range(4))
+        corners = take(clip, take(faces, jnp.maximum(face, 0)))
+        x, y, z, w = ([corners[..., k, c] for k in range(3)] for c in range(4))
         X, Y = about[..., 0] * (2 / width) - 1, about[..., 1] * (2 / height) - 1
         x, y = [x[k] - X * w[k] for k in range(3)], [y[k] - Y * w[k] for k in range(3)]
         total = lambda a, b: a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
@@ -123,9 +123,7 @@ def plane_crossings(
     pixels."""
     height, width = centres.shape
     resolution = height, width
-    pixels = height * width
-    pixel = jnp.nonzero(other.reshape(-1) >= 0, size=max(capacity, 1), fill_value=pixels)[0].astype(jnp.int32)
-    used, pixel = pixel < pixels, jnp.minimum(pixel, pixels - 1)
+    pixel, _, used = Items.of((other >= 0).reshape(-1).astype(jnp.int32)).chunk(0, max(capacity, 1))
     row, column = pixel // width, pixel % width
     middle = jnp.stack([column, row], axis=1) + 0.5
     # Unused ones have one face twice, whose numbers are finite.

@@ -117,7 +117,8 @@ def surface_at_centres(mesh: Mesh, eye: Vec3, view: View, face: FaceMap, clip: C
 
 def surface_at_points(mesh: Mesh, eye: Vec3, view: View, face: FaceMap, clip: ClipVertices, points: Points) -> Surface:
     """The surface of given faces at given points of the window, both (h, w)."""
-    return _surface_of(mesh, eye, view, face.size, clip)(face, points)
+    of = _surface_of(mesh, eye, view, face.size, clip)
+    return by_bands(lambda seen, _: of(*seen), (face, points))
 
 
 def passes_at_points(mesh: Mesh, face: FaceMap, clip: ClipVertices, points: Points) -> Mask:

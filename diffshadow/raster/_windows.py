@@ -25,13 +25,12 @@ from jax import lax
 from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
-from .._arithmetic import take, take_last
+from .._arithmetic import sums_up_to, take, take_last
 from .._device import chunk_size, is_on_gpu
 from .._types import Resolution, Viewport
 from ._alpha_test import AlphaTest
 from ._bins import BLOCK, CLIPPED, LARGE, WINDOWS, Box, Corners, Facing, Triangles, draws, pixel_box, to_window
 from ._clip import FAN, clip_triangles
-from ._compact import sums_up_to
 from ._coverage import DepthPlane, EdgeForm, edge_form, plane_of_clip, plane_of_corners, window_depth
 from ._depth_test import DepthTest
 from ._items import Items

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from .._arithmetic import dot, safe_norm
 from .._checks import check_value
-from .._types import VectorMap
+from .._types import HostArray
 from ..geometry import AbstractCamera
 from ..settings.quantities import PixelPointCount
 from ._surface import Surface
@@ -64,13 +64,15 @@ def points_within_pixels(surface: Surface, camera: AbstractCamera, count: int) -
         return PixelPoints(surface, 1)
     x = (np.arange(count) + 0.5) / count
     y = (np.arange(count) * round(count / _GOLDEN) % count + 0.5) / count
-    each = [_moved(surface, camera, *place) for place in (np.stack([x, y], axis=1) - 0.5).tolist()]
+    position = _moved(surface, camera, x - 0.5, y - 0.5).reshape(-1, *surface.position.shape[1:])
     several = jax.tree.map(lambda values: jnp.concatenate([values] * count), surface)
-    return PixelPoints(dataclasses.replace(several, position=jnp.concatenate(each)), count)
+    return PixelPoints(dataclasses.replace(several, position=position), count)
 
 
-def _moved(surface: Surface, camera: AbstractCamera, x: float, y: float) -> VectorMap:
-    """Where the ray through a point `x` and `y` pixels away from each centre meets the plane seen at the centre.
+def _moved(
+    surface: Surface, camera: AbstractCamera, x: Float[HostArray, " n"], y: Float[HostArray, " n"]
+) -> Float[Array, "n h w 3"]:
+    """Where the rays through points `x` and `y` pixels away from each centre meet the plane seen at the centre.
 
     A point p is seen at (X, Y) if a · p + a₃ = 0 and b · p + b₃ = 0, with the rows a = m₀ - X m₃ and b = m₁ - Y m₃ of
     the matrix to clip space. With e and f the values of both at the centre's point, it moves by
@@ -79,7 +81,8 @@ def _moved(surface: Surface, camera: AbstractCamera, x: float, y: float) -> Vect
     """
     height, width = surface.mask.shape
     matrix, normal = camera.view().matrix, surface.normal
-    columns, rows = np.meshgrid(np.arange(width) + 0.5 + x, np.arange(height) + 0.5 + y)
+    columns = (np.arange(width) + 0.5) + x[:, None, None]
+    rows = (np.arange(height) + 0.5)[:, None] + y[:, None, None]
     row = lambda k, at, size: matrix[k] - (jnp.asarray(at, matrix.dtype) * (2 / size) - 1)[..., None] * matrix[3]
     a, b = row(0, columns, width), row(1, rows, height)
     value = lambda row: dot(row[..., :3], surface.position) + row[..., 3]

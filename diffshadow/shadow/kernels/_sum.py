@@ -11,7 +11,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Int
 
-from ..._arithmetic import for_any, take
+from ..._arithmetic import for_any, sums_up_to, take
 from ..._device import chunk_size
 from ..._padding import round_up_to_power_of_two
 from .._compare import AbstractCompare
@@ -131,7 +131,7 @@ class _Plain(AbstractTerms):
         runs = i * p * j
         chosen = jnp.moveaxis(jnp.any(active, axis=-1), 1, 0).reshape(p, i * j)
         number = jnp.moveaxis(jnp.arange(runs, dtype=jnp.int32).reshape(i, p, j), 1, 0).reshape(p, i * j)
-        rank = jnp.cumsum(chosen, axis=1, dtype=jnp.int32) - 1
+        rank = jax.vmap(sums_up_to)(chosen) - 1
         most = jnp.max(rank) + 1
         at_once = min(i * j, round_up_to_power_of_two(max(1, chunk_size(*_AT_ONCE) // (p * q))))
         capacity = math.ceil(i * j / at_once) * at_once
