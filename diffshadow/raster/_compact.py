@@ -10,8 +10,8 @@ from jaxtyping import Array, Bool, Int
 from .._arithmetic import take
 from .._device import is_on_gpu
 
-# Elements are counted in runs of this length, so that the count of a class in a run fits into 5 bits, and the counts of
-# six classes into one integer.
+# Elements are counted in runs of this length. The count of a class in a run then fits into 5 bits, and six counts fit
+# into one integer.
 _RUN = 16
 _BITS = 5
 _MAX_CLASSES = 6
@@ -25,8 +25,8 @@ class Ranks(NamedTuple):
 
 
 class Groups(NamedTuple):
-    """`elements` (n,) are indices ordered by class; `starts` (c,) is where each class begins among them, `counts` (c,)
-    its size."""
+    """`elements` (n,) are indices ordered by class. `starts` (c,) has the position of each class's first element, and
+    `counts` (c,) the sizes."""
 
     elements: Int[Array, " n"]
     starts: Int[Array, " c"]
@@ -35,7 +35,7 @@ class Groups(NamedTuple):
     def chunk(
         self, of_class: int | Array, number: Array, length: int
     ) -> tuple[Int[Array, " length"], Bool[Array, " length"]]:
-        """The elements of chunk `number` of a class, and whether each is one: the last chunk is padded."""
+        """The elements of chunk `number` of a class, and a mask of valid entries. The last chunk is padded."""
         rank = number * length + jnp.arange(length, dtype=jnp.int32)
         used = rank < self.counts[of_class]
         return take(self.elements, jnp.where(used, self.starts[of_class] + rank, 0)), used
@@ -67,11 +67,11 @@ def rank_in_class(classes: Int[Array, " n"], number: int) -> Ranks:
 
 
 def group(classes: Int[Array, " n"], number: int) -> Groups:
-    """The elements of each class, for classes 0 to `number - 1`; class -1 is left out."""
+    """The elements of each class from 0 to `number - 1`. Elements of class -1 are left out."""
     ranks = rank_in_class(classes, number)
     starts = sums_up_to(ranks.counts) - ranks.counts
     place = sum(jnp.where(classes == k, starts[k] + ranks.rank, 0) for k in range(number))
-    # Elements without a class have no place.
+    # Elements without a class have no position.
     place = jnp.where(classes >= 0, place, classes.shape[0])
     indices = jnp.arange(classes.shape[0], dtype=jnp.int32)
     elements = jnp.zeros_like(indices).at[place].set(indices, mode="drop", wrap_negative_indices=False)
@@ -79,6 +79,6 @@ def group(classes: Int[Array, " n"], number: int) -> Groups:
 
 
 def sums_up_to(values: Int[Array, " c"]) -> Int[Array, " c"]:
-    """The sum of the values up to each, with it: `jnp.cumsum` for a few values, as one kernel instead of several."""
+    """The inclusive prefix sum. Equals `jnp.cumsum`, but takes one kernel instead of several for short arrays."""
     through = np.tri(values.shape[0], dtype=bool)
     return jnp.sum(jnp.where(through, values, 0), axis=1, dtype=jnp.int32)

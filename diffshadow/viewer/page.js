@@ -4,7 +4,7 @@
 const $ = (id) => document.getElementById(id);
 const picture = $("picture"), context = picture.getContext("2d");
 const PAUSE = 400; // milliseconds without a change after which an undo step ends
-const SUN_AT = [1.3, 1, 0.7, 0.5]; // distances of the dot from the first mesh's centre, in its radii; the first distance inside the picture is used
+const SUN_AT = [1.3, 1, 0.7, 0.5]; // distances from the first mesh's centre, in its radii: the first inside the picture is used
 const TURN = 0.4, KEY_TURN = 4, KEY_ZOOM = 1.08; // degrees per pixel, degrees per key press, factor per key press
 
 const blank = () => ({ scene: null, structure: {}, numbers: {}, camera: null, fitted: null });
