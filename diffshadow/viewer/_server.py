@@ -111,7 +111,8 @@ class Server:
             bound = socket.create_server((HOST, port))
         except (OSError, OverflowError) as error:
             raise ValueError(
-                f"--port is {port}, which cannot be used ({error}); expected a free port from 0 to {_MOST_PORT}; choose another"
+                f"--port is {port}, which cannot be used ({error}); expected a free port from 0 to {_MOST_PORT}, "
+                "where 0 chooses any; choose another"
             ) from error
         settings: dict[str, Any] = {"server": self, "websocket_max_message_size": _MOST_READ}
         routes = [(r"/socket", Page), (r"/(page\.css|page\.js|)", File)]
