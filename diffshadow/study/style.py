@@ -47,7 +47,7 @@ THEME = {
 """The colours of a page and of the curves in it, by name: for the light and the dark theme."""
 MARKERS = ("o", "s", "D", "^", "v", "P")
 DIFFERENCE = "PuOr"
-"""A diverging colour map that is safe for the colour-blind: orange is too dark, purple too light."""
+"""A diverging colour map that is safe for the colour-blind: orange is too dark, and purple is too light."""
 DISTANCE = "cividis_r"
 DPI = 150
 TITLE, TEXT = 10, 8.5
@@ -164,7 +164,7 @@ def save(figure: Figure, path: Path, dpi: int = DPI) -> None:
     """
     form = path.suffix.removeprefix(".")
     options: dict[str, Any] = {
-        # In half the time of the default level. Charts take a tenth more bytes, pictures as much less.
+        # Half the time of the default level. Charts take a tenth more bytes, and pictures a tenth fewer.
         "png": {"metadata": {"Software": "diffshadow"}, "pil_kwargs": {"compress_level": 3}},
         "svg": {"metadata": {"Date": None}},
         "pdf": {"metadata": {"CreationDate": None}},
@@ -175,7 +175,7 @@ def save(figure: Figure, path: Path, dpi: int = DPI) -> None:
 
 
 def _lay_out(figure: Figure) -> None:
-    """Lays `figure` out for good. Otherwise Matplotlib draws it an extra time in each format."""
+    """Finalizes the layout of `figure`. Otherwise Matplotlib draws it an extra time in each format."""
     engine = figure.get_layout_engine()
     if engine is not None:
         engine.execute(figure)

@@ -440,7 +440,7 @@ def test_validate_begins_what_a_run_does_and_writes_nothing(monkeypatch, capsys,
     with pytest.raises(SystemExit) as caught:
         main(["validate", "tiny.yaml"])
     assert caught.value.code == 0
-    said, _, after = capsys.readouterr().out.partition("what to do next:\n")
+    said, _, after = capsys.readouterr().out.partition("next steps:\n")
     assert said.endswith("tiny.yaml is valid; its scene has 14 triangles\n")
     assert "diffshadow fit tiny.yaml" in after
     assert leftovers(tmp_path) == []

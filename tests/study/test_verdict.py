@@ -259,7 +259,11 @@ def test_a_front_of_fewer_points_than_asked_for_is_remarked_on():
 @pytest.mark.parametrize(
     ("errors", "knee", "said"),
     [
-        ([0.2, 0.12, 0.1, 0.3], 1, ["at the knee, the RMSE is 0.1200, 20.0% more than the lowest of the front, 0.1000"]),
+        (
+            [0.2, 0.12, 0.1, 0.3],
+            1,
+            ["at the knee, the RMSE is 0.1200, 20.0% more than the lowest of the front, 0.1000"],
+        ),
         ([0.2, 0.1, 0.3], 1, ["at the knee, the RMSE is 0.1000, the lowest of the front"]),
         ([0.2, 0.1], None, []),
         ([None, None, None], 1, []),

@@ -30,8 +30,8 @@ _CULLED = {
     "front": ("`glCullFace(GL_FRONT)`", '`cullMode: "front"`', "`D3D11_CULL_FRONT`"),
 }
 _LAYERS = {
-    "second": "Store the second depth from the light, not the nearest. Draw twice. In the second pass, discard fragments at "
-    "the first pass's depth or in front of it.",
+    "second": "Store the second depth from the light, not the nearest. Draw twice. In the second pass, discard "
+    "fragments at the first pass's depth or in front of it.",
     "midpoint": "Store the mean of the nearest and the second depth from the light. Draw both, and average them.",
 }
 _LANGUAGES = {

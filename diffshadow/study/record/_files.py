@@ -1,4 +1,5 @@
-"""Writes and reads records: `result.json`, checked as strictly as a configuration, so that readers can rely on it."""
+"""Writes and reads records (`result.json`). Both are checked as strictly as a configuration, so that readers can rely
+on them."""
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
@@ -16,17 +17,17 @@ from ._sweeps import AdviseRecord, SweepRecord
 
 SCHEMA_VERSION = 1
 Record = FolderRecord | SweepRecord | AdviseRecord
-"""What a folder's `result.json` holds."""
+"""The content of a folder's `result.json`."""
 _KINDS: Mapping[str, type[Record]] = {
     each.model_fields["kind"].default: each
     for each in (RenderRecord, FitRecord, PictureRecord, ShapeRecord, SweepRecord, AdviseRecord)
 }
 # Far more than any run writes.
 _MAX_BYTES = 64 << 20
-# Keys that stand before and after all others, so that a fit's verdict is seen first.
+# Keys that come before and after all others, so that readers see a fit's verdict first.
 _FIRST, _LAST = ("schema_version", "verdict", "name", "kind"), ("warnings", "seconds", "versions", "seed", "command")
 _PYDANTIC = "Input should be "
-# Plain words for pydantic's messages, which name Python's types.
+# Plain words for pydantic's messages, which name Python types.
 _EXPECTED = {
     "model_type": "a section with keys",
     "dict_type": "a section with keys",
@@ -96,8 +97,8 @@ def read_record(folder: Path) -> Record:
     kind = found.get("kind") if isinstance(found, dict) else None
     if not isinstance(kind, str) or kind not in _KINDS:
         raise io.FileError(
-            f"{file} is not of a fit, render, sweep or recommendation; expected one of these: runs inside a sweep keep "
-            "only numbers, unless sweep.figures is true"
+            f"{file} is not the record of a fit, render, sweep or recommendation; expected one of these: runs inside "
+            "a sweep store only numbers, unless sweep.figures is true"
         )
     try:
         return _KINDS[kind].model_validate(found)
@@ -128,6 +129,6 @@ def _first(error: ValidationError) -> str:
     elif message.startswith(_PYDANTIC):
         expected = message.removeprefix(_PYDANTIC)
     else:
-        # A fault of a section of the configuration, whose message says what was expected.
+        # A fault of a configuration's section. Its message says what was expected.
         return f"{key}: {message}{more}"
     return f"{key} is {short(json.dumps(first['input'], default=str))}; expected {expected}{more}"

@@ -65,7 +65,7 @@ def blind_light(config: Config, scene: geometry.Scene, surface: raster.Surface) 
 
 
 def _most_are(config: Config, scene: geometry.Scene, points: Float[HostArray, "n 3"]) -> tuple[str, str]:
-    """Where most of `points`, all outside the light's frustum, are, and how to get them inside."""
+    """The position of most of `points`, which are all outside the light's frustum, and how to get them inside."""
     light = scene.light
     if _has_no_depths(light.view()):
         return f"none is within its frustum, since {_NO_DEPTHS}", "set its near and far, or move it nearer"
@@ -101,7 +101,7 @@ def _has_no_depths(view: geometry.View) -> bool:
 def _mesh_around(
     config: Config, scene: geometry.Scene, point: Float[HostArray, "3"], among: Sequence[bool] | None = None
 ) -> str | None:
-    """The key of the first mesh that contains `point`, of all or of the meshes `among` them."""
+    """The key of the first mesh that contains `point`, of all meshes or of `among`."""
     for i, mesh in enumerate(scene.meshes):
         if (among is None or among[i]) and is_inside(mesh, point):
             return f"scene.meshes.{i} ({config.scene.meshes[i].path})"
