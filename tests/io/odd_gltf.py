@@ -389,7 +389,7 @@ REFUSALS = {
     "unknown_extension": (required("ACME_new_triangles"), "requires ACME_new_triangles"),
     "lines_alone": (lines_alone, "holds 3 lines but no triangles"),
     "looped": (looped, "node 0 has two parents, or is its own ancestor"),
-    "uneven_instances": (uneven_instances, "its instances have 2 and 3 rows; expected as many of each"),
+    "uneven_instances": (uneven_instances, "its instances have 2 and 3 rows; expected the same number of each"),
     "countless_instances": (
         countless_instances,
         "16,777,216 instances; expected at most 4,194,304",

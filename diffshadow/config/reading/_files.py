@@ -1,4 +1,4 @@
-"""The files that a configuration names: found by the mark `InputFile` on their keys."""
+"""The files that a configuration names, found by the mark `InputFile` on their keys."""
 
 import difflib
 import functools
@@ -46,7 +46,7 @@ def files_in(value: Any, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Any, str
 # Thousands of runs have the same keys.
 @functools.lru_cache(maxsize=4096)
 def _mark_at(path: KeyPath) -> InputFile | None:
-    """The mark of the key at `path`. In a section of views, that is the key that views set."""
+    """The mark of the key at `path`. In a section of views, it is the mark of the key that views set."""
     steps = path[3:] if path[:2] in _VIEWS else path
     words = ".".join(step for step in steps if isinstance(step, str)).split(".")
     return file_marks().get(".".join(word for word in words if not word.isdecimal()))
@@ -115,11 +115,11 @@ def _installed() -> frozenset[str]:
 
 
 def user_modules(config: Config) -> list[Path]:
-    """The files of modules, and the folders of packages, whose classes `config` names and that are not installed."""
+    """The files of modules, and the folders of packages, that define classes of `config` and are not installed."""
     words = [getattr(section, "type", None) for section in (config.technique, config.filter, config.fit.loss)]
     names = {word.partition(COLON)[0].split(".")[0] for word in words if isinstance(word, str) and COLON in word}
     found = []
-    # Looking through what is installed takes a second.
+    # Searching the installed packages takes a second.
     for name in sorted(names - _installed()) if names else ():
         file = Path(getattr(sys.modules[name], "__file__", None) or "")
         found.append(file.parent if file.name == "__init__.py" else file)

@@ -13,13 +13,13 @@ from ._fitted import is_pose
 from ._section import Conflict, Section, fault
 
 PARAMETERS = "parameters"
-"""The key in an entry that holds the numbers to fit; all others but the label are set."""
+"""The key of an entry with the numbers to fit. All other keys except the label are set."""
 LISTS = ("biases", "filters")
 """The keys of the lists; every combination of their entries is a technique."""
 _OF_A_TECHNIQUE = ("technique", "shadow_map", "bias", "compare", "filter", "fit.anneal", "fit.solver")
 _SIZE = "shadow_map.resolution"
 
-# Where fits start, in texels: `rules.STARTS` are for this radius.
+# The start of fits, in texels. `rules.STARTS` are for this radius.
 _RADIUS = 2.0
 
 Entries = Annotated[tuple[dict[str, Any], ...], Form("a list of sections of dotted keys")]
@@ -27,7 +27,7 @@ _Sizes = Annotated[tuple[Size, ...], Form("a list of [height, width]"), Unit("te
 
 
 def _bias(label: str, starts: rules.Numbers, *fitted: str, plane: str = "none") -> dict[str, Any]:
-    # Together with a disk of 16 texels, the offset stays within the faces of a point light's map of 512 texels.
+    # With a disk of 16 texels, the offset stays within the faces of a point light's map of 512 texels.
     most = {"constant": 30.0, "slope": 10.0, "normal_offset": 6.0}
     return {
         LABEL: label,
@@ -88,7 +88,7 @@ class AdviseConfig(Section):
                 yield ("resolutions", i), what
 
     def _set_by_both(self) -> Iterator[Conflict]:
-        """Faults of keys that an entry of each list sets, so that one of them would be lost."""
+        """Faults of keys that an entry of each list sets. One of the two values would be lost."""
         biases, filters = (
             [((name, i, *path), key) for i, entry in enumerate(getattr(self, name)) for path, key in _all_set(entry)]
             for name in LISTS
