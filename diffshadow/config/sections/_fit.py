@@ -73,7 +73,7 @@ class AnnealConfig(Section, fit.Anneal):
 
 
 class LossConfig(Section, fit.Loss):
-    """The quantity that a fit minimizes: the mean square errors of its views as one number."""
+    """The quantity that a fit minimises: the mean square errors of its views as one number."""
 
     def faults(self) -> Iterator[Conflict]:
         if self.false_shadow == 0 and self.false_light == 0:
@@ -199,7 +199,7 @@ class FitConfig(Section, fit.Fit):
         Form("least_bias, or a list of parameters"),
         "parameters to bring as close to 0 as tolerance allows, in this order; least_bias: all biases, then radii",
     ] = ()
-    loss: AnyLossConfig = Field(default_factory=LOSSES.make, description="the quantity that the fit minimizes")
+    loss: AnyLossConfig = Field(default_factory=LOSSES.make, description="the quantity that the fit minimises")
     shape: Annotated[ShapeConfig | None, "a fit of all vertices of a mesh to its shadows, instead of parameters"] = None
 
     @classmethod

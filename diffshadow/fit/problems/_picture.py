@@ -1,4 +1,4 @@
-"""Fits to a picture: what is compared is the shaded, antialiased image of a scene."""
+"""Fits to a picture. The shaded, antialiased image of a scene is compared."""
 
 import dataclasses
 
@@ -20,7 +20,8 @@ from .._own_loss import Seen
 from ._abstract import any_overflow
 from ._arranged import ArrangedProblem, points_for, weighted_difference, with_silhouettes
 
-# There is memory for so many times the outlines' pieces at the start. If others need more, phases are repeated.
+# The initial memory for pieces of outlines, as a multiple of the pieces at the start. If more are needed, phases are
+# repeated.
 _MORE_PIECES = 2.0
 
 

@@ -150,7 +150,7 @@ def _at_best(one: _Fitted, others: Sequence[_Fitted]) -> _Fitted:
     """`one`, or its technique with the better values of a special case. A fit may end in a local minimum."""
     loss = one.config.fit.loss
     if not isinstance(loss, Loss) or loss.over != "mean" or loss.false_shadow != loss.false_light:
-        # These fits do not minimize the RMSE.
+        # These fits do not minimise the RMSE.
         return one
     error, best = "after.rmse", one
     for other in others:

@@ -72,7 +72,7 @@ def _few_points(config: Config | None, result: FitResult) -> Iterator[str]:
     if count < asked:
         yield (
             f"{'Sureness' if config is None else 'fit'}.front is {asked}, and the front has {counted(count, 'point')}: "
-            "no other settings were found that minimize a weighted sum of the two errors"
+            "no other settings were found that minimise a weighted sum of the two errors"
         )
 
 
