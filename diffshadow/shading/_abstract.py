@@ -26,8 +26,8 @@ class AbstractShading(CheckedModule):
         **Arguments:**
 
         - `light`: one light, or several in a sequence.
-        - `visibility`: (h, w), visibility of the light, in [0, 1]. For several lights, one for each, (l, h, w) or in a
-            sequence.
+        - `visibility`: (h, w), visibility of the light, in [0, 1]. For several lights, one image for each, as (l, h, w)
+          or in a sequence.
 
         **Returns:** (h, w, 3), linear, 0 or more; it may exceed 1. Differentiable with respect to all arguments,
         without NaN.
@@ -36,7 +36,7 @@ class AbstractShading(CheckedModule):
         """
 
     def of_light(self, index: int) -> "AbstractShading":
-        """The shading of the scene with only one of its lights, number `index`."""
+        """The shading of the scene with only one of its lights, at `index`."""
         return self
 
     def antialiased(
@@ -47,7 +47,7 @@ class AbstractShading(CheckedModule):
         **Arguments** are as for the image of a surface. `visibility` has a value for each point of `seen.surface`, (h,
         w), or for pixel centres only, (y, x), which `seen.extend` then extends to all points.
 
-        **Returns:** (y, x, 3), linear. It is also differentiable with respect to everything that moves outlines.
+        **Returns:** (y, x, 3), linear. It is also differentiable with respect to all numbers that move outlines.
 
         **Raises** `ValueError` unless there are as many visibilities as lights.
         """
