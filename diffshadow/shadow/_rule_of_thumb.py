@@ -1,4 +1,4 @@
-"""The bias that holds over many scenes with a filter."""
+"""The rule of thumb for the bias of a filter."""
 
 import math
 
@@ -13,8 +13,9 @@ from .filters import AbstractFilter
 def bias_for(filter: AbstractFilter, plane: AbstractBias | None = None, *, across: float = math.inf) -> Bias:
     """The bias for a filter that works in many scenes. A configuration without a bias uses this rule.
 
-    It is a rule of thumb, measured over a collection of scenes: a constant bias, a slope bias and, under wide filters,
-    a normal offset. A fit to a scene has less error. The documentation's page on rules of thumb has figures.
+    The rule of thumb was measured over a collection of scenes. It has a constant bias, a slope bias and, under wide
+    filters, a normal offset. A fit to a scene has a lower error. The documentation's page on rules of thumb has
+    figures.
 
     **Arguments:**
 

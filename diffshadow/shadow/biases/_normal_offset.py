@@ -26,8 +26,9 @@ _FEATURE_OF: dict[OffsetProfile, str] = {
 class NormalOffset(AbstractBias):
     """Moves the look-up along the normal, by `value` texels times a profile of the angle θ to the light.
 
-    - `profile`: `"sine"` sin θ, `"constant"` 1, `"one_minus_cosine"` 1 - cos θ, or `"across"`: 1 - cos θ, and only the
-        part of the shift across the light, as in Godot. Exact under directional lights, close under others.
+    - `profile`: `"sine"` sin θ, `"constant"` 1, `"one_minus_cosine"` 1 - cos θ, or `"across"` 1 - cos θ, where only the
+      part of the shift across the light is applied, as in Godot. `"across"` is exact under directional lights, and
+      close under others.
     """
 
     settings: ClassVar = Settings
