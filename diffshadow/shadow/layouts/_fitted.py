@@ -1,4 +1,4 @@
-"""Layouts that are fitted to what a camera sees."""
+"""Layouts that are fitted to a camera's view."""
 
 from collections.abc import Sequence
 
@@ -17,11 +17,11 @@ _ROUNDING = 1e-6
 
 
 class AbstractFittedLayout(AbstractLayout):
-    """A layout for directional lights that is fitted to what a camera sees.
+    """A layout for directional lights that is fitted to a camera's view.
 
     - `shadow_distance`: the depth along the camera's axis, in world units, beyond which nothing is shadowed; `None` for
         the camera's far.
-    - `margin`: how far maps extend beyond what the camera sees, in texels.
+    - `margin`: the margin of maps beyond the camera's view, in texels.
     """
 
     shadow_distance: eqx.AbstractVar[Scalar | None]
@@ -39,8 +39,8 @@ class AbstractFittedLayout(AbstractLayout):
         self, light: AbstractLight, camera: AbstractCamera, resolution: Resolution, surface: Surface | None
     ) -> None:
         """**Raises** `ValueError` unless the layout's numbers are in range, the light is directional, maps of
-        `resolution` have texels within their margin, the shadow distance lies within the camera's depths, and there is
-        a surface if one is needed."""
+        `resolution` have texels within their margin, the shadow distance is within the camera's depths, and there is a
+        surface if the layout needs one."""
         # Numbers may have been replaced since the layout was made.
         check_again(self)
         if not light.is_directional:
@@ -65,7 +65,7 @@ def margin_of(margin: float | None) -> float:
 
 
 def check_depths(what: str, depths: Sequence[Scalar], camera: AbstractCamera) -> None:
-    """**Raises** `ValueError` if `depths`, which `what` names, are known and not within the camera's near and far."""
+    """**Raises** `ValueError` if `depths` are known and not within the camera's near and far. `what` names them."""
     near, far = concrete(camera.near), concrete(camera.far)
     known = [float(depth) for depth in map(concrete, depths) if depth is not None]
     if near is not None and far is not None and known and not (near < min(known) and max(known) <= far):
