@@ -45,7 +45,7 @@ def as_int(x: Any) -> Array:
 
 
 def as_array(x: Any) -> Array:
-    """`x` as an array of its own type."""
+    """`x` as an array with the dtype of `x`."""
     # `jnp.asarray` compiles a program for each shape of a NumPy array.
     return x if isinstance(x, jax.Array) else jax.device_put(np.asarray(x))
 

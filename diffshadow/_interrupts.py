@@ -1,4 +1,4 @@
-"""Ctrl-C during native code. It must not be lost or turned into another error."""
+"""Ctrl-C during native code. It must not be lost or become another error."""
 
 import contextlib
 import signal

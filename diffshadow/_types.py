@@ -80,7 +80,7 @@ if MYPY:
 
     AsVec2 = AsVec3 = AsVector
 else:
-    # As explicit aliases, which pyright takes rather than the classes.
+    # Explicit aliases, because pyright prefers them to the classes.
     AsScalar: TypeAlias = Scalar  # noqa: UP040
     AsOptional: TypeAlias = Scalar | None  # noqa: UP040  # pyright: ignore[reportOperatorIssue]
     AsVec2: TypeAlias = Vec2  # noqa: UP040

@@ -155,7 +155,7 @@ class _Settings:
         points: list[FrontPoint] = []
         for values in dict.fromkeys((first, *sorted(inside, key=self.sides.__getitem__), last)):
             point = FrontPoint(values, *self.sides[values], 1.0, 0.0)
-            # Without points that lie on or above the line between their neighbours.
+            # Removes points on or above the line between their neighbours.
             while len(points) > 1 and _equal(points[-2], points[-1]) <= _equal(points[-1], point):
                 points.pop()
             points.append(point)
@@ -183,18 +183,18 @@ def _are_same(a: FrontPoint, b: FrontPoint) -> bool:
 
 
 def _scaled(points: Sequence[FrontPoint]) -> Float[HostArray, "n 2"]:
-    """The errors, each in units of what it ranges over. The ends lie at (0, 1) and (1, 0)."""
+    """The errors, each divided by its range. The ends lie at (0, 1) and (1, 0)."""
     at = np.asarray([(point.false_shadow, point.false_light) for point in points])
     return (at - at.min(axis=0)) / np.maximum(np.ptp(at, axis=0), 1e-12)
 
 
 def _gaps(points: Sequence[FrontPoint]) -> list[float]:
-    """How far neighbours are apart."""
+    """The distances between neighbours."""
     return np.linalg.norm(np.diff(_scaled(points), axis=0), axis=1).tolist()
 
 
 def _chosen(points: Sequence[FrontPoint], count: int) -> list[FrontPoint]:
-    """At most `count` of the points that differ: the least loss, the ends, and what is furthest from all of these."""
+    """At most `count` of the distinct points: the lowest loss, the ends, and the points farthest from all of these."""
     at, least = _scaled(points), min(points, key=lambda point: _sum((point.false_shadow, point.false_light), 1.0))
     chosen: list[int] = []
     for i in (points.index(least), 0, len(points) - 1):

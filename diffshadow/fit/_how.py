@@ -16,8 +16,8 @@ from .problems import Joint, check_falling
 class Search:
     """The region of a fit's search, and the number of pixels in a step.
 
-    - `starts`: the number of starts: the initial values, and then a Sobol sequence over the bounds. The best start
-      after the first blurs, under the hard compare, continues.
+    - `starts`: the number of starts: the initial values, and then a Sobol sequence over the bounds. After the first
+      blurs, only the best start under the hard compare continues.
     - `seed`: seed of the starts.
     - `blurs`: for a fit of poses, the decreasing standard deviations, in pixels, of the Gaussian that blurs the
       compared images. All phases before the last move poses only. A phase under the best blur for the map's texels

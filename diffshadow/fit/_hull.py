@@ -184,7 +184,7 @@ def _box(
     least = float(np.linalg.eigvalsh(across)[0])
     if least < _LEAST_SINE**2 / 2:
         raise ValueError(
-            "the views' lights shine from one direction, so that nothing bounds a shape along it; expected two or more "
+            "the views' lights shine from one direction, so nothing bounds a shape along it; expected two or more "
             "directions: add a view, or give a mesh to start from"
         )
     middle = np.linalg.solve(across, towards)

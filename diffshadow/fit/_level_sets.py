@@ -73,7 +73,7 @@ def level_set(field: Field, faces: int, mirror: tuple[float, ...] | None = None)
     # The area of the surface, estimated from the cells that it passes through as if it were level in each.
     inside = field.values > 0
     if not inside.any():
-        raise ValueError("the field is positive nowhere, so that it has no inside; expected some positive values")
+        raise ValueError("the field is positive nowhere, so it has no inside; expected positive values at some points")
     crossed = sum(float((np.diff(inside.astype(np.int8), axis=axis) != 0).sum()) for axis in range(3))
     edge = _EDGE * float(np.sqrt(crossed / 1.5 * field.step**2 / faces))
     make = lambda: _whole(manifold3d.Manifold.level_set(at, [*field.low.tolist(), *top.tolist()], edge), mirror)

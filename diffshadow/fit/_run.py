@@ -28,8 +28,8 @@ from .solvers import Solver, Stop
 # The maximum number of times that a phase gets memory for more silhouettes.
 _ENLARGEMENTS = 6
 _NEVER_ENOUGH = (
-    f"there are too many silhouettes for the memory planned, after {_ENLARGEMENTS} enlargements; expected their number "
-    "to settle: narrow the bounds of what moves"
+    f"there are too many silhouettes for the memory planned, after {_ENLARGEMENTS} enlargements; expected a stable "
+    "number: narrow the bounds of the moving objects"
 )
 # Mean square errors below this count as 0.
 _MIN_LOSS = 1e-10

@@ -122,8 +122,8 @@ class _Fit:
         for number, (image, view) in enumerate(zip(self.program.images(found), problem.views, strict=True)):
             if not (image[np.asarray(view.weight) > 0] < _UNSHADOWED).any():
                 raise ValueError(
-                    f"the start casts no shadow in view {number}, so that its vertices have no gradient there; "
-                    "expected some shadow in each view: move or enlarge the start"
+                    f"the start casts no shadow in view {number}, so its vertices have no gradient there; expected a "
+                    "shadow in each view: move or enlarge the start"
                 )
         none = np.zeros((0, 3))
         best = vertices, faces

@@ -75,7 +75,7 @@ class ShapeProgram:
         if not all(reached):
             raise ValueError(
                 f"the light of view {reached.index(False)} reaches none of the pixels that count; expected a surface "
-                "that lies in the light's shadow map and faces the light: move the light or the surface, or make the "
+                "in the light's shadow map that faces the light: move the light or the surface, or make the "
                 "map's extent larger"
             )
         return found

@@ -95,7 +95,7 @@ def train(
     technique = _with_compare(problems[0].technique, HardCompare())
     start, _ = ravel_pytree(_selected(technique, where))
     if not start.size:
-        raise ValueError("where selects no number of the technique; expected some: select a module that holds them")
+        raise ValueError("where selects no number of the technique; expected numbers: select a module that has numbers")
     least = _least(lower, _selected(technique, where))
     if (np.asarray(start) < least).any():
         raise ValueError(

@@ -1,6 +1,6 @@
 """Procedural meshes by name, for scenes that need no file.
 
-Every piece is about one world unit in size and stands on the ground at the origin: its lowest point is at y = 0, and
+Every piece is about one world unit in size and is placed on the ground at the origin. Its lowest point is at y = 0, and
 its bounding box is centred in x and z. All but `plane` are closed two-manifolds. All faces are anticlockwise seen from
 outside.
 """
@@ -94,7 +94,7 @@ def low_poly_sphere(radius: Number = 0.5, subdivisions: int = 1, smooth: bool = 
 
 
 def torus(radius: Number = 0.35, tube: Number = 0.15, segments: int = 64, sides: int = 32) -> Mesh:
-    """A torus that lies on the ground; `radius` of the ring and radius of the `tube` in world units."""
+    """A torus on the ground; `radius` of the ring and radius of the `tube` in world units."""
     _check_positive("torus", radius=radius, tube=tube)
     _check_tube("torus", segments, sides)
     if tube >= radius:

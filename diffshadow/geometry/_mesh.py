@@ -107,8 +107,8 @@ class Mesh(eqx.Module):
             )
         if textures is not None and textures.index.shape != self.faces.shape[:1]:
             raise ValueError(
-                f"the mesh's textures are for {textures.index.shape[0]} faces; expected {self.faces.shape[0]}, as many "
-                "as the mesh has"
+                f"the mesh's textures are for {textures.index.shape[0]} faces; expected {self.faces.shape[0]}, the "
+                "number of the mesh's faces"
             )
 
     def __check_init__(self):
@@ -137,7 +137,7 @@ class Mesh(eqx.Module):
     def from_trimesh(cls, given: Triangles | TriangleScene, crease_angle: float | int | None = 30.0) -> "Mesh":
         """The mesh of a trimesh object, or of any other object with `vertices` and `faces`.
 
-        Vertices at the same position are welded, as `io.load_mesh` does.
+        Vertices at the same position are welded, as in `io.load_mesh`.
 
         **Arguments:**
 

@@ -106,7 +106,7 @@ class Scene(eqx.Module):
                     "expected one each"
                 )
         if self.casts is not None and not any(self.casts):
-            raise ValueError("no mesh of the scene casts shadows; expected one that does: set one of casts to True")
+            raise ValueError("no mesh of the scene casts shadows; expected at least one: set one of casts to True")
         self._check_precision()
 
     def _check_precision(self) -> None:
@@ -132,7 +132,7 @@ class Scene(eqx.Module):
         return shown_with_values(self)
 
     def _repr_html_(self) -> str | None:
-        """A picture of what the camera sees, without shadows."""
+        """A picture of the camera's view, without shadows."""
         if not is_known(self):
             return None
         mesh, view = self.mesh, self.camera.view()
@@ -188,7 +188,7 @@ class Scene(eqx.Module):
         """
         if not 0 <= index < len(self.lights):
             raise ValueError(
-                f"the scene has no light {index}; expected an index from 0 to {len(self.lights) - 1}, since it has "
+                f"the scene has no light {index}; expected an index from 0 to {len(self.lights) - 1}, because it has "
                 f"{len(self.lights)} lights"
             )
         return dataclasses.replace(self, lights=self.lights[index])

@@ -48,7 +48,7 @@ class Sampler(NamedTuple):
 
     @classmethod
     def of(cls, wrap: Wraps, filter: TexelFilter) -> "Sampler":
-        """A sampler with one `wrap` for both axes, or one for each. **Raises** `ValueError` for another word."""
+        """A sampler with one `wrap` for both axes, or one for each. **Raises** `ValueError` for an unknown word."""
         words = (wrap, wrap) if isinstance(wrap, str) else tuple(wrap)
         if len(words) != 2 or not all(word in _WRAPS for word in words):
             raise ValueError(f"the texture's wrap is {wrap!r}; expected {' or '.join(_WRAPS)}, or a pair of these")

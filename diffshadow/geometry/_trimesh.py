@@ -79,7 +79,7 @@ def parts_of(given: Triangles | TriangleScene, crease_angle: float | int | None)
     if left_out:
         # The warning points to the user's line, whichever function takes the meshes.
         package = __file__.removesuffix("geometry/_trimesh.py")
-        message = f"the scene is taken without {', '.join(left_out)}: expected faces, and found none"
+        message = f"the scene is used without {', '.join(left_out)}: expected faces, and found none"
         warnings.warn(message, skip_file_prefixes=(package,))
     parts = [
         _part(given.geometry[name], np.asarray(matrix, np.float64), crease_angle, f"the scene's mesh {node!r}")
@@ -100,7 +100,9 @@ def _part(given: Triangles, to_world: Float[HostArray, "4 4"], crease_angle: flo
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
     if len(welded) == 0:
-        raise ValueError(f"every triangle of {name} has two corners at the same position; expected some with an area")
+        raise ValueError(
+            f"every triangle of {name} has two corners at the same position; expected triangles with an area"
+        )
     if crease_angle is None:
         normals = _own_normals(given, to_world, name)[faces[kept]]
     else:

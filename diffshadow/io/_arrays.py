@@ -75,7 +75,7 @@ def read_arrays(path: str | os.PathLike[str], layouts: Mapping[str, ArrayLayout]
 
 
 def read_all_arrays(stream: IO[bytes]) -> dict[str, HostArray]:
-    """Reads all arrays of an `.npz` archive, and checks that each member is as long as its header says.
+    """Reads all arrays of an `.npz` archive, and checks the length of each member against its header.
 
     **Raises** `FileError`, or whatever `zipfile` and NumPy raise, if the archive is damaged.
     """

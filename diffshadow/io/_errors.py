@@ -92,7 +92,7 @@ class Faults:
 
     def remarks(self) -> list[str]:
         """A sentence for each fault, with the names of its parts."""
-        return [f"{some_of(names)}: left out, since the file {fault}" for fault, names in self._names.items()]
+        return [f"{some_of(names)}: left out, because the file {fault}" for fault, names in self._names.items()]
 
     def error(self) -> MeshError | None:
         """The first fault, or `None`."""

@@ -147,7 +147,7 @@ def _within(file: Path, header: Mapping[str, Any]) -> tuple[slice, slice]:
         raise FileError(
             f"the image file {file} has no pixels for a part of its picture: its dataWindow is from "
             f"{shown(low, high)}, its displayWindow from {shown(first, last)}; expected a dataWindow that covers the "
-            "displayWindow: write the whole picture, or set its displayWindow to what it shows"
+            "displayWindow: write the whole picture, or set its displayWindow to the picture"
         )
     columns, rows = (slice(int(first[k] - low[k]), int(last[k] - low[k]) + 1) for k in (0, 1))
     return rows, columns

@@ -69,7 +69,7 @@ _OTHERS = {
 _LIST, _STRIP, _FAN = 4, 5, 6
 HIDDEN_MESH, NO_POSITIONS = "hidden mesh", "primitive without positions"
 CUT_OUT = "primitive that its alpha test cuts out"
-_UNREAD_SKIN = "that cannot be read, so that its size and place are those of its vertices and its node"
+_UNREAD_SKIN = "that cannot be read, so its size and position come from its vertices and its node"
 # The matrices of this many instances take half a gigabyte.
 _MAX_INSTANCES = 1 << 22
 # The attributes of instances.

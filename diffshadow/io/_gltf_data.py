@@ -140,7 +140,7 @@ class Buffers:
         return next((form for form in _WIDTHS if form == found), None)
 
     def file(self, uri: str) -> bytes:
-        """The content of a file within the glTF file or beside it.
+        """The content of a file inside the glTF file or next to it.
 
         **Raises** `MeshError` if it cannot be read.
         """
@@ -181,8 +181,10 @@ class Buffers:
                 continue
             except (OSError, ValueError) as error:
                 reason = getattr(error, "strerror", None) or str(error)
-                raise MeshError(f"needs the file {excerpt(uri)} beside it, which cannot be read: {reason}") from error
-        raise MeshError(f"needs the file {excerpt(uri)} beside it, which does not exist; put it there")
+                raise MeshError(
+                    f"needs the file {excerpt(uri)} in the same folder, which cannot be read: {reason}"
+                ) from error
+        raise MeshError(f"needs the file {excerpt(uri)} in the same folder, which does not exist; put it there")
 
 
 def files_beside(data: bytes, folder: Path) -> list[Path]:

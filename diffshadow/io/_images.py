@@ -1,7 +1,7 @@
 """Reads and writes images.
 
 In memory row 0 is the bottom row. Image files (PNG, EXR) begin with the top row; they are flipped in this subpackage
-and nowhere else. A `.npy` file holds the array as it is in memory. Values are linear: no gamma curve is applied.
+and nowhere else. A `.npy` file stores the array as in memory. Values are linear: no gamma curve is applied.
 """
 
 import math

@@ -111,7 +111,9 @@ def looks_of_triangles(
     colours = None if looks.colours is None else np.clip(looks.colours, 0, 1)[triangles]
     if given.picture is not None:
         if looks.uv is None:
-            raise MeshError("has no texture coordinates, and a texture was given; expected some: export it with its UV")
+            raise MeshError(
+                "has no texture coordinates, and a texture was given; expected coordinates: export it with its UV"
+            )
         textures = [Texture(given.picture)]
         index = np.zeros(len(triangles), np.int32)
     else:
@@ -174,7 +176,7 @@ def read_texture(data: bytes, what: str) -> Picture:
             f"has a texture, {what}, that cannot be read ({' '.join(str(error).split())}); expected a PNG, JPEG or "
             "WebP image: convert it"
         ) from error
-    raise MeshError(f"has a texture, {what}, of {size} texels a side; expected at most {MAX_TEXTURE}: scale it down")
+    raise MeshError(f"has a texture, {what}, of {size} texels per side; expected at most {MAX_TEXTURE}: scale it down")
 
 
 def png_of(levels: UInt8[HostArray, "h w 4"]) -> bytes:

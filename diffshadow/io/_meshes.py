@@ -186,7 +186,7 @@ def _looks(
 
 
 def files_of_mesh(path: str | os.PathLike[str]) -> list[Path]:
-    """The absolute paths of a mesh file and of the files beside it that it refers to, if they exist."""
+    """The absolute paths of a mesh file and of the files that it refers to, if they exist."""
     file = Path(os.path.abspath(path))
     beside = {**dict.fromkeys(GLTF_SUFFIXES, files_beside), ".obj": files_beside_obj}.get(file.suffix.lower())
     if beside is None:
@@ -232,8 +232,8 @@ def coarse_steps(vertices: Float[HostArray, "v 3"]) -> str:
         return ""
     return (
         f"is far from its origin: its coordinates are rounded to steps of {step:.2g}, "
-        f"{step / (high - low).max():.2%} of its size, as in single precision, which changes its shape; move it to the "
-        "origin before it is exported, and give its place with translate"
+        f"{step / (high - low).max():.2%} of its size, as in single precision, which changes its shape; move it to "
+        "the origin before the export, and set its position with translate"
     )
 
 

@@ -159,8 +159,8 @@ def _files(named: Iterable[str], folder: Path) -> Iterator[tuple[str, _File | No
 
 
 def _found(folder: Path, name: str) -> _File | None:
-    """A file at the path `name`, or with the same name beside the OBJ file, because many writers store paths of their
-    own disks."""
+    """A file at the path `name`, or with the same name in the OBJ file's folder, because many writers store paths of
+    their own disks."""
     path = name.replace("\\", "/")
     for place in (folder / path, folder / path.rpartition("/")[2]):
         file = Path(os.path.normpath(place))

@@ -112,7 +112,7 @@ def _looks(
     sizes: Int[HostArray, " f"],
     left_out: Counter[str],
 ) -> Looks | None:
-    """The colours and textures of faces; none without materials."""
+    """The colours and textures of faces. `None` without materials."""
     if not materials:
         return None
     factors = np.array([*(each.factor for each in materials), Material().factor])
@@ -137,7 +137,7 @@ class _Coordinates(NamedTuple):
 def _coordinates(
     lines: list[str], at: list[int], words: list[str], face_at: list[int], sizes: Int[HostArray, " f"]
 ) -> _Coordinates | None:
-    """The texture coordinates; none if they are damaged."""
+    """The texture coordinates. `None` if they are damaged."""
     try:
         number = integers([word.partition("/")[2].partition("/")[0] or "0" for word in words])
         values = np.array([lines[i].split()[1:3] for i in at], np.float64)

@@ -37,7 +37,8 @@ class _Samples(NamedTuple):
 
 
 def read_png(file: Path, merge: Merge = mean_colour, curves: Sequence[str | None] = (None,)) -> Pixels:
-    """Reads an image from 0 to 1 as it is stored: the mean of its colours, or the result of `merge`. Alpha is ignored.
+    """Reads the stored values of an image from 0 to 1: the mean of its colours, or the result of `merge`. Alpha is
+    ignored.
 
     **Arguments:** `curves`: the encodings that need no remark.
 

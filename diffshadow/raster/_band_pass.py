@@ -39,7 +39,7 @@ def bands_of(buffer: Resolution, bytes_a_pixel: int) -> int:
 
 
 class BandDrawing(Drawing):
-    """Draws triangles into an image in `bands` bands.
+    """Draws triangles into an image that is divided into `bands` bands.
 
     **Arguments:** the others are as for `DrawPass` and `bin_triangles`.
     """

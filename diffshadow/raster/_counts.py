@@ -1,8 +1,8 @@
 """Counts fragments in front of or behind a depth buffer, like a two-sided stencil buffer.
 
 The depth pass keeps the nearest fragment of each pixel. This pass instead adds up the weights of all fragments that
-pass, or of all that fail, the depth test against a fixed buffer. Both passes clip, bin, cover and write triangles in
-the same way, except that this scatter adds. A triangle therefore has bit-equal depths in both.
+pass the depth test against a fixed buffer, or of all fragments that fail it. Both passes clip, bin, cover and write
+triangles in the same way, except that this scatter adds. A triangle therefore has bit-equal depths in both.
 
 The far plane clips nothing. Fragments beyond it are moved into it (OpenGL's depth clamp).
 """

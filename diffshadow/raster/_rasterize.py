@@ -84,7 +84,7 @@ def rasterize(
     - `faces`: (f, 3), indices into `clip`. Front faces are anticlockwise in the window.
     - `resolution`: (height, width) in pixels, each at most 8192.
     - `cull`: the faces that are not drawn.
-    - `depth_test`: format and comparison of the depth buffer; float32 and `"less"` if left out.
+    - `depth_test`: format and comparison of the depth buffer; by default float32 and `"less"`.
     - `polygon_offset`: (factor, units) of OpenGL's polygon offset, or `None`.
     - `behind`: (h, w), a face map with the face to skip at each pixel. With the result of a first call, this draws the
       second-nearest layer.

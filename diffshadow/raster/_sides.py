@@ -47,7 +47,7 @@ class Sides(NamedTuple):
         is_wrong = is_close & (is_left != (pieces.height > 0)) & (~is_crease | (centre == left) | (centre == right))
         shaded = jnp.where(is_back, to_right.face, jnp.where(inside.is_beside, inside.face, left))
         exists = pieces.pixel < pixels
-        # Where a mesh stands on another, or nearly so, one line is both a silhouette and a crossing. It counts once.
+        # If a mesh rests on another one, or nearly so, one line is both a silhouette and a crossing. It counts once.
         touches = exists & ~is_crease & in_sight
         touched = jnp.zeros(pixels + 1, bool).at[pieces.pixel].max(touches)[pieces.pixel]
         in_sight = in_sight & ~(touched & take(found.crosses, pieces.segment))

@@ -132,5 +132,5 @@ class Terms(Settings):
     ] = None
     blocker_distance: Annotated[
         _Weight,
-        "bias in texels per texel that the map's depth lies in front of the receiver; default: no such term",
+        "bias in texels per texel of distance from the map's depth to the receiver behind it; default: no such term",
     ] = None

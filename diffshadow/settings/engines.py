@@ -1,4 +1,4 @@
-"""Settings of the techniques that draw shadows as real-time engines do, in the engines' own names and units."""
+"""Settings of the techniques that draw the shadows of real-time engines, with the engines' names and units."""
 
 from typing import Annotated, ClassVar, Literal
 
@@ -92,7 +92,7 @@ class Engine(Technique):
     subpixels: Annotated[
         int,
         Limits(1, 1 << 16),
-        "steps to a texel at which the engine's rasterizer places vertices: 256 on most graphics hardware, 16 in "
+        "steps per texel at which the engine's rasterizer places vertices: 256 on most graphics hardware, 16 in "
         "Chromium without it",
     ] = 256
 
@@ -164,7 +164,7 @@ class BabylonJs(Engine):
         0.0
     )
     contact_hardening_light_size_uv_ratio: Annotated[
-        Fraction, Fitted(), "contactHardeningLightSizeUVRatio: radius of PCSS over the map's width"
+        Fraction, Fitted(), "contactHardeningLightSizeUVRatio: radius of PCSS divided by the map's width"
     ] = 0.1
     blur_kernel: Annotated[int, Limits(0, 256), "blurKernel, with use_kernel_blur"] = 1
     blur_box_offset: Annotated[int, Limits(0, 64), "blurBoxOffset, without use_kernel_blur"] = 1
@@ -242,9 +242,11 @@ class Bevy(Engine):
         "shadow_normal_bias: shift of receivers along their normals",
     ] = 1.8
     num_cascades: Annotated[int, Limits(1, 4), "num_cascades of a directional light"] = 4
-    minimum_distance: Annotated[_Distance, "minimum_distance: where the first cascade begins"] = 0.1
-    maximum_distance: Annotated[_Distance, "maximum_distance: where the last cascade ends"] = 150.0
-    first_cascade_far_bound: Annotated[_Distance, "first_cascade_far_bound: where the first of several ends"] = 10.0
+    minimum_distance: Annotated[_Distance, "minimum_distance: start of the first cascade"] = 0.1
+    maximum_distance: Annotated[_Distance, "maximum_distance: end of the last cascade"] = 150.0
+    first_cascade_far_bound: Annotated[_Distance, "first_cascade_far_bound: end of the first of several cascades"] = (
+        10.0
+    )
     overlap_proportion: Annotated[
         float, Limits(0, 1, below_high=True), "overlap_proportion: the share in which a cascade fades into the next"
     ] = 0.2
@@ -283,6 +285,6 @@ class GodotCompatibility(Engine):
         "directional_shadow_pancake_size: depth of the space for casters in front of the view",
     ] = 20.0
     directional_shadow_fade_start: Annotated[
-        Fraction, "directional_shadow_fade_start: share of the distance where shadows begin to fade out"
+        Fraction, "directional_shadow_fade_start: fraction of the shadow distance at which shadows begin to fade out"
     ] = 0.8
     side: Annotated[_Sides, "faces that the material's cull mode keeps, for all meshes or for each"] = "front"

@@ -21,7 +21,7 @@ _LeastVariance = Annotated[
     float,
     Limits(1e-12, 1),
     Fitted(),
-    "least variance of depth, where depth is 0 at the map's near plane and 1 at its far plane",
+    "minimum variance of depth, where depth is 0 at the map's near plane and 1 at its far plane",
 ]
 
 
@@ -117,7 +117,7 @@ class Separable(Filter):
         Len(1, 16),
         Form("a list of 1 to 16 weights"),
         Fitted(),
-        "weights of the bilinear compares 1, 2, ... texels from the middle, whose weight is 1",
+        "weights of the bilinear compares 1, 2, ... texels from the centre, relative to the weight at the centre",
     ] = (0.75, 0.25)
 
     @classmethod

@@ -82,8 +82,8 @@ class Loss(AnyLoss):
         Limits(0, 1, above_low=True),
         "for cvar: the fraction of all pixels that the worst views have",
     ] = 0.1
-    false_shadow: Annotated[Factor, "factor of the squares where an image is too dark"] = 1.0
-    false_light: Annotated[Factor, "factor of the squares where an image is too light"] = 1.0
+    false_shadow: Annotated[Factor, "factor of squared errors that are too dark"] = 1.0
+    false_light: Annotated[Factor, "factor of squared errors that are too light"] = 1.0
 
 
 class Search(Settings):

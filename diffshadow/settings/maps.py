@@ -35,7 +35,7 @@ class ShadowMap(Settings):
     ] = None
     silhouettes: Annotated[
         bool | None,
-        "whether texels store where silhouettes cross them; default: in fits that move lights or meshes",
+        "whether texels store the silhouettes inside them; default: in fits that move lights or meshes",
     ] = None
 
 

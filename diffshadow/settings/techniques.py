@@ -103,7 +103,7 @@ class Cascades(FittedLayout):
     depths: Annotated[
         DepthRange, "depths that are sliced: the camera's near to its far, or the range of the visible surface"
     ] = "camera"
-    fit: Annotated[CascadeFit, "what a cascade contains: its slice, or everything up to its end"] = "cascade"
+    fit: Annotated[CascadeFit, "content of a cascade: its slice, or everything up to its end"] = "cascade"
     stabilize: Annotated[bool, "whether texels stay in place on surfaces when the camera moves and turns"] = True
     select: Annotated[CascadeSelection, "a receiver's cascade: by its depth, or the first whose map contains it"] = (
         "interval"

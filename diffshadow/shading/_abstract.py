@@ -32,7 +32,7 @@ class AbstractShading(CheckedModule):
         **Returns:** (h, w, 3), linear, 0 or more; it may exceed 1. Differentiable with respect to all arguments,
         without NaN.
 
-        **Raises** `ValueError` unless there are as many visibilities as lights.
+        **Raises** `ValueError` unless the numbers of visibilities and lights are equal.
         """
 
     def of_light(self, index: int) -> "AbstractShading":
@@ -49,7 +49,7 @@ class AbstractShading(CheckedModule):
 
         **Returns:** (y, x, 3), linear. It is also differentiable with respect to all numbers that move outlines.
 
-        **Raises** `ValueError` unless there are as many visibilities as lights.
+        **Raises** `ValueError` unless the numbers of visibilities and lights are equal.
         """
         height = seen.resolution[0]
         pairs = each_light(visibility, light)
@@ -60,7 +60,7 @@ class AbstractShading(CheckedModule):
 def each_light(visibility: Visibilities, light: Lights) -> list[tuple[Visibility, AbstractLight]]:
     """Each light with its visibility.
 
-    **Raises** `ValueError` unless there are as many visibilities as lights.
+    **Raises** `ValueError` unless the numbers of visibilities and lights are equal.
     """
     if isinstance(light, AbstractLight):
         return [(jnp.asarray(visibility), light)]

@@ -73,10 +73,10 @@ def draw_shadow_map(
     - `buffer`: as for `rasterize`; ignored with `edges`.
 
     **Raises** `ValueError` if `depth_layer` is unknown; if `edges` are given with a `depth_layer` other than
-    `"nearest"`, with `cull`, under a trace without `crossings`, or for a mesh with an alpha test, whose cut outlines
-    are not edges; if a warped map has `edges` or a `polygon_offset`; if a map with pages or with cascades of several
-    sizes has `edges`; if any of these maps has a `shift`; and what `rasterize` raises. **Raises** a runtime error if
-    the silhouettes have more `crossings`.
+    `"nearest"`, with `cull`, inside `jit` without `crossings`, or for a mesh with an alpha test, because its cut
+    outlines are not edges; if a warped map has `edges` or a `polygon_offset`; if a map with pages or with cascades of
+    several sizes has `edges`; if any of these maps has a `shift`; and what `rasterize` raises. **Raises** a runtime
+    error if the silhouettes have more `crossings`.
 
     !!! Example
 
@@ -212,7 +212,7 @@ def _check_allows_edges(view: View, settings: "MapSettings") -> None:
     if max(settings.resolution) >= MAX_TEXELS:
         raise ValueError(
             f"edges were given for a map of {settings.resolution} texels, (height, width); expected at most "
-            f"{MAX_TEXELS - 1} on a side, since the corners of texels are drawn too: leave edges out, or lower "
+            f"{MAX_TEXELS - 1} per side, because the corners of texels are also drawn: leave edges out, or lower "
             "the resolution"
         )
     if settings.depth_layer != "nearest" or settings.cull != "none":
@@ -306,7 +306,7 @@ def plan_crossings(mesh: Mesh, light: AbstractLight, resolution: Resolution, edg
     if is_traced((mesh, light, edges)):
         raise ValueError(
             "a shadow map with edges was drawn inside jax.jit (or grad, or vmap) without crossings; expected their "
-            "number, since shapes must be known there: call plan_crossings(...) outside, and pass its result to "
+            "number, because shapes must be known there: call plan_crossings(...) outside, and pass its result to "
             "draw_shadow_map as crossings"
         )
     mesh = mesh.padded()

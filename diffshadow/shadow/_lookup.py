@@ -30,7 +30,7 @@ class Lookup(eqx.Module):
         `texel` (h, w, 2).
     - `depth`: (h, w), the receiver's window depth minus its bias.
     - `depth_per_texel`: (h, w), window depth per texel width, the unit of a soft compare.
-    - `inside`: (h, w), whether the receiver lies in front of the light and before the far plane.
+    - `inside`: (h, w), whether the receiver is in front of the light and closer than the far plane.
     - `slope`: the receiver plane's window depth per texel along x and y, (h, w) each. Each tap compares with the plane
         at the centre of its texel. `None` if all taps compare with the same depth. `Lookup(...)` takes one array (h, w,
         2).

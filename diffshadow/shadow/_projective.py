@@ -103,7 +103,7 @@ class ProjectiveShadow(AbstractTechnique):
 
     @eqx.filter_jit
     def covered(self, state: ProjectiveTexture, surface: Surface) -> Mask:
-        """Pixels whose surface lies within the light's frustum, (h, w): the texture is projected onto them."""
+        """Pixels whose surface is within the light's frustum, (h, w). The texture is projected onto them."""
         texel, in_front, _ = _project(state, surface)
         height, width = state.resolution
         inside = jnp.all((texel >= 0) & (texel <= jnp.array([width, height])), axis=-1)

@@ -39,8 +39,8 @@ def bias_for(filter: AbstractFilter, plane: AbstractBias | None = None, *, acros
     reach = filter.reach
     if reach is None and issubclass(filter.settings, rules.MEASURED):
         raise ValueError(
-            "bias_for was called inside jax.jit (or grad, or vmap) for a filter whose radius is traced; expected a "
-            "radius that is known: make the bias outside"
+            "bias_for was called inside jax.jit (or grad, or vmap) for a filter with a traced radius; expected a "
+            "known radius: make the bias outside"
         )
     numbers = rules.bias_of(filter.settings, reach or 0.0, plane=plane is not None, across=across)
     return Bias(*numbers, plane=plane)

@@ -150,7 +150,7 @@ class ShadowMapping(AbstractTechnique):
         return _visibility(self.layout, self.filter, self.bias, self.compare, state, surface)
 
     def covered(self, state: ShadowMap, surface: Surface) -> Mask:
-        """Pixels whose surface lies within the light's frustum, (h, w): the map covers them."""
+        """Pixels whose surface is within the light's frustum, (h, w). The map covers them."""
         return _covered(self.layout, self.bias, state, surface)
 
     def shift(self, state: ShadowMap, surface: Surface) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:

@@ -129,7 +129,7 @@ class ShadowVolumes(AbstractTechnique):
 
         **Arguments:**
 
-        - `surface`: ignored, since the faces that the state's camera sees are drawn again, in double precision.
+        - `surface`: ignored, because the faces that the state's camera sees are drawn again in double precision.
         """
         found = self._count(state)
         return as_float((found.counts == 0) & found.lit_side | ~found.seen)

@@ -51,7 +51,7 @@ DIFFERENCE = "PuOr"
 DISTANCE = "cividis_r"
 DPI = 150
 TITLE, TEXT = 10, 8.5
-# Embeds TrueType fonts in PDF, since many publishers reject Type 3, and makes ids in SVG the same in every run.
+# Embeds TrueType fonts in PDF, because many publishers reject Type 3, and makes ids in SVG the same in every run.
 _VECTOR: Any = {"svg.fonttype": "none", "svg.hashsalt": "diffshadow", "pdf.fonttype": 42}
 
 
@@ -113,7 +113,7 @@ def chart(axes: Axes, x: str, y: str) -> None:
 
 
 def frame(axes: Axes) -> None:
-    """Draws a thin frame round a picture."""
+    """Draws a thin frame around a picture."""
     for spine in axes.spines.values():
         spine.set_visible(True)
         spine.set_color(FAINT)
@@ -148,7 +148,7 @@ def curve(index: int) -> dict[str, Any]:
 
 
 def colour_bar(figure: Figure, shown: Any, axes: list[Axes], label: str, **options: Any) -> Colorbar:
-    """Adds a colour bar beside `axes`."""
+    """Adds a colour bar next to `axes`."""
     bar = figure.colorbar(shown, ax=axes, shrink=0.9, aspect=28, pad=0.02, **options)
     bar.set_label(label, fontsize=TEXT, color=INK)
     bar.ax.tick_params(labelsize=TEXT, color=FAINT, labelcolor=INK, which="both")

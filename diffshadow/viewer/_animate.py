@@ -96,7 +96,7 @@ def animate(
         picture = picture_of(frame, view, truth)
         if picture is None:
             what = f"which {config.technique.type} does not have"
-            raise ValueError(f"--view is {view!r}, {what}; expected another, such as shaded; change it")
+            raise ValueError(f"--view is {view!r}, {what}; expected another view, such as shaded; change it")
         pictures.append(picture)
         progress(done + 1, frames)
     _write(output, pictures, round(1000 * seconds / frames))

@@ -231,7 +231,7 @@ class Page(tornado.websocket.WebSocketHandler):
     def tell_that_it_takes_long(self) -> None:
         """Tells the page why there is no picture."""
         if self.server.drawn:
-            self.tell(note="drawing this for the first time, which takes longer")
+            self.tell(note="drawing this for the first time takes longer")
 
     def on_message(self, message: str | bytes) -> None:
         try:

@@ -49,8 +49,8 @@ class Look(_Message):
     """How a page views its settings.
 
     - `light`: the index of the light for views of a single light.
-    - `split`: whether to show the picture before the changes beside this one, or the name of an engine whose defaults
-      to show.
+    - `split`: whether to show the picture before the changes next to this one, or the name of an engine to show with
+      its defaults.
     """
 
     state: State
@@ -64,7 +64,7 @@ class Message(_Message):
 
     - `look`: a picture to draw; `shown`: the number of the picture that the page has shown.
     - `save`, `code`, `fit`: the settings to write as YAML, to convert for engines, or to fit from.
-    - `picture`: what to write as PNG.
+    - `picture`: the picture to write as PNG.
     - `stop`: whether to stop the fit.
     """
 

@@ -118,9 +118,9 @@ class Subject:
         found = []
         for name in dict.fromkeys([*state.numbers, *(state.fitted or ())]):
             if not self._has(name) and not is_key(name):
-                near = difflib.get_close_matches(name, self.sliders, 1, 0) or ["one that it shows"]
+                near = difflib.get_close_matches(name, self.sliders, 1, 0) or ["a visible one"]
                 found.append(
-                    f"{printable(name)} is no number of this configuration; expected a number with a slider; remove "
+                    f"{printable(name)} is not a number of this configuration; expected a number with a slider; remove "
                     f"it, or name another, such as {near[0]}"
                 )
         for name, value in state.numbers.items():

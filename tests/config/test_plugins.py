@@ -198,7 +198,7 @@ def test_the_settings_of_a_users_filter_are_its_keys(load):
         ("filter={type: own_pieces:Cross, shape: round}", "filter.shape: is 'round'; expected plus or times"),
         ("filter={type: own_pieces:Needy}", "filter.type: is own_pieces:Needy, whose field other is no number"),
         ("filter={type: own_pieces:Unfinished}", "filter.type: is own_pieces:Unfinished, which lacks __call__;"),
-        ("filter={type: own_pieces:Power}", "filter.type: is own_pieces:Power, which is no shadow.AbstractFilter;"),
+        ("filter={type: own_pieces:Power}", "filter.type: is own_pieces:Power, which is not a shadow.AbstractFilter;"),
         ("filter={type: own_pieces:Crossing}", "filter.type: names Crossing, which own_pieces does not have; expected"),
         ("filter={type: own_peaces:Cross}", "filter.type: names the module own_peaces, which Python does not find;"),
         ("filter={type: broken_pieces:Cross}", "cannot be imported (ModuleNotFoundError: No module named 'no_such_mod"),

@@ -356,7 +356,7 @@ def damage(name: str, content: str | bytes | None) -> Callable[[Path], None]:
         (damage("result.json", '{"status": "ok"}'), "result.json is not of a fit"),
         (
             damage("result.json", '{"kind": "fit"}'),
-            "result.json is damaged: name is missing; expected what a run wrote",
+            "result.json is damaged: name is missing; expected a file of a run",
         ),
         (damage("result.json", "[" * 100_000), "result.json is damaged (recursion limit exceeded"),
         (

@@ -124,14 +124,14 @@ def darkness(folder, *overrides, mesh=CARD):
             [LAMP],
             "scene.light is inside scene.meshes.2 (builtin:sphere), which hides it from all that the camera",
         ),
-        (CARD, ["scene.light.elevation=-60"], "all of it is turned away from the light, or in shadow; expected"),
+        (CARD, ["scene.light.elevation=-60"], "all of it faces away from the light, or is in shadow; expected"),
     ],
     ids=["inside", "dark side", "bulb", "from below"],
 )
 def test_a_scene_that_no_light_reaches_has_nothing_to_compare(mesh, overrides, cause, tmp_path):
     said = darkness(tmp_path, *overrides, mesh=mesh)
     assert said is not None
-    assert said.startswith("no light reaches what the camera sees, so that there is nothing to compare: ")
+    assert said.startswith("no light reaches the camera's view, so there is nothing to compare: ")
     assert cause in said
 
 

@@ -414,7 +414,7 @@ def before_work(monkeypatch) -> None:
         ("scene.camera={eye: [0, 1, 9], target: [0, 9, 9]}", "camera"),
         (
             "scene.light={type: spot, position: [0, 3, 0], target: [9, 3, 0], outer_angle: 5}",
-            "scene.light: and the camera see no surface together: of",
+            "scene.light: and the camera see no common surface: of",
         ),
     ],
 )

@@ -88,7 +88,7 @@ def blame(config: Config, path: KeyPath, origin: geometry.Origin = geometry.WORL
     except geometry.OptionError as error:
         raise ConfigError([Mistake(*at(config, (*path, "options", error.option)), error.what)]) from error
     except (ValueError, OSError) as error:
-        where = "" if origin == geometry.WORLD else f" (coordinates are counted from the scene's origin, {[*origin]})"
+        where = "" if origin == geometry.WORLD else f" (coordinates are relative to the scene's origin, {[*origin]})"
         raise ConfigError([Mistake(*at(config, path), f"{error}{where}")]) from error
 
 
@@ -184,8 +184,8 @@ def _check_closed(config: Config, meshes: list[geometry.Mesh]) -> None:
     if not isinstance(config.technique, Mapped) or config.shadow_map.cull != "front":
         return
     what = (
-        "is an open mesh that casts shadows, while shadow_map.cull is front; expected closed meshes, since only back "
-        "faces cast: set casts: false if it only receives, or shadow_map.cull to none"
+        "is an open mesh that casts shadows, while shadow_map.cull is front; expected closed meshes, because only "
+        "back faces cast: set casts: false if it only receives, or shadow_map.cull to none"
     )
     mistakes = [
         Mistake(*at(config, ("scene", "meshes", i)), what)
@@ -323,8 +323,9 @@ def _seen_by(
         if least[k] > high[k] or most[k] < low[k]:
             given, scene = sorted((sign * low[k], sign * high[k])), sorted((sign * least[k], sign * most[k]))
             raise ValueError(
-                f"shadow_camera sees nothing of the scene: its {sides} are {given[0]:.4g} and {given[1]:.4g}, and the "
-                f"scene lies from {scene[0]:.4g} to {scene[1]:.4g}, measured from its position; expected an overlap: "
+                f"shadow_camera sees nothing of the scene: its {sides} are {given[0]:.4g} and {given[1]:.4g}, and "
+                f"the scene extends from {scene[0]:.4g} to {scene[1]:.4g}, measured from its position; expected an "
+                "overlap: "
                 "change them, or the position"
             )
     return light

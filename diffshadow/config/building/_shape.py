@@ -192,7 +192,7 @@ def build_free(config: Config, start: geometry.Mesh) -> Bool[HostArray, " v"]:
     with blame_of(config, ("fit", "shape", "pinned")):
         if not free.any():
             raise ValueError(
-                f"is {shape.pinned:g}, above all of the start's vertices; expected some that move: lower it to less "
+                f"is {shape.pinned:g}, above all of the start's vertices; expected moving vertices: lower it to less "
                 f"than {heights.max():.4g}"
             )
     return free
@@ -280,8 +280,8 @@ def _screen(
             distance = float(np.linalg.norm(way))
             if distance <= half:
                 raise ValueError(
-                    f"stands {distance:.3g} world units from the shape's middle; expected it outside of the pictured "
-                    f"square, beyond {half:.3g}: move it away, or make fit.shape.extent smaller"
+                    f"stands {distance:.3g} world units from the shape's centre; expected a position outside of the "
+                    f"pictured square, beyond {half:.3g}: move it away, or make fit.shape.extent smaller"
                 )
         way = way / np.linalg.norm(way)
         down = np.array([0.0, -1.0, 0.0])

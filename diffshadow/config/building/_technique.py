@@ -157,15 +157,15 @@ def module_of(section: Any) -> Any:
 
 
 def _guarded(settings: type[Settings]) -> Any:
-    """Makes what a user's class describes. Whatever that raises is a mistake of the configuration."""
+    """Makes the object of a user's class. Whatever that raises is a mistake of the configuration."""
 
     def make(**arguments: Any) -> Any:
         try:
             return settings.plugin(**arguments)
         except Exception as error:
             raise ValueError(
-                f"cannot be made: {vars(settings)['type']} raises {type(error).__name__}: {error}; expected an object: "
-                "change its keys, or mend the class"
+                f"cannot be made: {vars(settings)['type']} raises {type(error).__name__}: {error}; expected an "
+                "object: change its keys, or fix the class"
             ) from error
 
     return make

@@ -88,7 +88,7 @@ def _written(
     if asked.ground:
         if found.plane is None:
             what = "it is a room" if found.is_room else "it has one"
-            notes.append(f"scene.ground adds nothing to the scene, since {what}")
+            notes.append(f"scene.ground adds nothing to the scene, because {what}")
         else:
             middle, side = point(found.plane[0]), number(found.plane[1])
             plane: dict[str, Any] = {"path": "builtin:plane", "options": {"size": side}, "translate": middle}

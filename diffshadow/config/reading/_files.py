@@ -70,7 +70,7 @@ def resolve_files(data: Any, origin: Origin, folder: Path) -> list[Mistake]:
         except PydanticCustomError as error:
             what = error.message()
         except UnicodeEncodeError:
-            what = f"is {file}, whose name is not UTF-8; expected one that is; rename the file or a folder"
+            what = f"is {file}, whose name is not UTF-8; expected a name in UTF-8; rename the file or a folder"
         except OSError as error:
             what = f"cannot be read ({error.strerror}); expected a file; check the path and its permissions"
         if what is not None and path[:2] not in _VIEWS:
@@ -82,7 +82,7 @@ def _missing(file: Path) -> str:
     if file.is_dir():
         return f"is the folder {file}; expected a file; give the name of a file in it"
     mend = f"did you mean {BUILTIN + file.name!r}?" if file.name in PIECES else neighbour(file)
-    return f"there is no file {file}; expected one that can be read; {mend}"
+    return f"there is no file {file}; expected a readable file; {mend}"
 
 
 def neighbour(file: Path) -> str:

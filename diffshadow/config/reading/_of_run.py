@@ -63,7 +63,7 @@ def settings_file(path: str | os.PathLike[str], *, sweep: bool = False) -> Setti
     else:
         name, origin = _found(result, str(given))
     if not (folder / name).is_file():
-        mend = "run it again, since earlier versions did not write it" if name == FITTED_FILE else "run it again"
+        mend = "run it again, because earlier versions did not write it" if name == FITTED_FILE else "run it again"
         raise _mistake(str(given), f"holds an incomplete run: it has no {name}; expected that file; {mend}")
     return SettingsFile(folder / name, f"{origin}, {folder / name}")
 

@@ -37,7 +37,7 @@ def _apply(data: dict[str, Any], places: dict[KeyPath, Location], override: str,
     key, equals, text = override.partition("=")
     words = key.strip().split(".")
     if not equals or not all(words):
-        raise ConfigError([Mistake(place, "", "is no KEY=VALUE; expected a dotted key; write filter.radius=2")])
+        raise ConfigError([Mistake(place, "", "is not KEY=VALUE; expected a dotted key; write filter.radius=2")])
     if has_surrogate(key):
         raise ConfigError([Mistake(place, key, "has an invalid character in its key; expected UTF-8 text; remove it")])
     value, inner, mistakes = read_yaml(text, lambda line, column: place)

@@ -145,9 +145,8 @@ def _imported(word: str, folder: Path, is_checked: bool) -> Any:
 
 def _failed(module: str, error: Exception) -> str:
     return (
-        f"names the module {module}, which cannot be imported ({type(error).__name__}: {error}); expected one that "
-        "can; "
-        f"try python -c 'import {module}'"
+        f"names the module {module}, which cannot be imported ({type(error).__name__}: {error}); expected a working "
+        f"import; try python -c 'import {module}'"
     )
 
 
@@ -159,23 +158,23 @@ def _check_not_another(package: str, folder: Path) -> None:
     if own is not None and own.origin and loaded and Path(own.origin).resolve() != Path(loaded).resolve():
         raise ValueError(
             f"names the module {package} beside the configuration, and another {loaded} is imported by that name; "
-            "expected one module of a name; rename the file"
+            "expected a unique module name; rename the file"
         )
 
 
 def _check_kind(word: str, plugin: Any, kind: _Kind) -> None:
     if kind.parent is None:
         if not callable(plugin):
-            raise ValueError(f"is {word}, which is no function; expected a function or class; name another")
+            raise ValueError(f"is {word}, which is not a function; expected a function or class; name another")
         if inspect.isclass(plugin) and not hasattr(plugin, "__call__"):  # noqa: B004
-            raise ValueError(f"is {word}, whose objects are no functions; expected __call__; add it to the class")
+            raise ValueError(f"is {word}, whose objects are not callable; expected __call__; add it to the class")
         return
     # Imported here, because JAX is slow to load and nothing else in this folder needs it.
     from ... import shadow
 
     parent = getattr(shadow, kind.parent)
     if not (inspect.isclass(plugin) and issubclass(plugin, parent)):
-        raise ValueError(f"is {word}, which is no shadow.{kind.parent}; expected a class that inherits from it")
+        raise ValueError(f"is {word}, which is not a shadow.{kind.parent}; expected a class that inherits from it")
     if inspect.isabstract(plugin):
         missing = ", ".join(sorted(getattr(plugin, "__abstractmethods__")))  # noqa: B009
         raise ValueError(f"is {word}, which lacks {missing}; expected a class with all methods; add them")
@@ -232,8 +231,8 @@ def _keys(word: str, plugin: Any) -> Iterator[tuple[str, tuple[Any, Any]]]:
             yield field.name, (hint, _plain(default))
         elif default is MISSING:
             raise ValueError(
-                f"is {word}, whose field {field.name} is no number, text or choice, and has no default; expected one "
-                "that YAML can set; give it a default"
+                f"is {word}, whose field {field.name} is not a number, text or choice, and has no default; expected "
+                "a field that YAML can set; give it a default"
             )
 
 

@@ -248,7 +248,7 @@ def load_sweep(
     runs = SweepRuns(settings, draft)
     if len(runs) > _MAX_RUNS:
         message = (
-            f"makes {len(runs):,} runs; expected at most {_MAX_RUNS:,}, since each is checked and gets a folder; "
+            f"makes {len(runs):,} runs; expected at most {_MAX_RUNS:,}, because each is checked and gets a folder; "
             "shorten its lists, or split it into several sweeps"
         )
         raise ConfigError([Mistake(draft.origin.place(("sweep",)), "sweep", message)])
@@ -260,7 +260,7 @@ def load_sweep(
 def _settings_of(draft: Draft) -> SweepConfig:
     """The section `sweep` of `draft`. The other sections are checked with each run's values filled in."""
     if draft.data.get("sweep") is None:
-        message = "is missing; expected a section of what to vary; add it, or use diffshadow render or fit"
+        message = "is missing; expected a section with the values to vary; add it, or use diffshadow render or fit"
         raise ConfigError([*draft.mistakes, Mistake(draft.origin.place(()), "sweep", message)])
     try:
         Config.model_validate(draft.data)

@@ -137,7 +137,7 @@ def write_template(name: str, mesh: Path | None = None, output: Path | None = No
         text, notes = template_text(name, source=name, file=str(file), scene=made.scene, side=made.side), made.notes
     if file.exists():
         mend = "remove it, or give another with --output"
-        raise _mistake(file, f"exists already; expected no such file, since it may have been edited; {mend}")
+        raise _mistake(file, f"exists already; expected a new file, because it may have been edited; {mend}")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(text, encoding="utf-8")
@@ -193,16 +193,14 @@ def scene_of_mesh(file: Path) -> MeshScene:
     mesh: dict[str, Any] = {"path": path}
     if geometry.up_of(corners, is_gltf) == "z":
         mesh["rotate"] = [-90.0, 0.0, 0.0]
-        notes.append(
-            "z is taken as up, since the mesh lies flat across z; if y is, set scene.meshes.0.rotate=[0, 0, 0]"
-        )
+        notes.append("z is up, because the mesh is flat across z; if y is, set scene.meshes.0.rotate=[0, 0, 0]")
     elif is_gltf and geometry.stands_on_z(corners):
         notes.append(
-            "y is taken as up, as glTF says, and the mesh has a flat foot across z; if z is up, set "
+            "y is up, as in glTF, and the mesh has a flat foot across z; if z is up, set "
             "'scene.meshes.0.rotate=[-90, 0, 0]'"
         )
     if is_gltf and (left_out := _left_out(file)):
-        notes.append(f"the file's {left_out} are not taken; to take them: diffshadow import {file}")
+        notes.append(f"the file's {left_out} are not used; to use them: diffshadow import {file}")
     side = float((corners.max(axis=(0, 1)) - corners.min(axis=(0, 1))).max())
     return MeshScene({"meshes": [mesh], "ground": "auto", "light": "auto"}, side, tuple(notes))
 

@@ -88,7 +88,7 @@ def _views(
     pixels = sum(math.prod(view.config.scene.camera.resolution) for view in views)
     if pixels > MAX_PIXELS:
         message = f"has {pixels:,} pixels in {count:,} views; expected at most {MAX_PIXELS:,}, which take 5 GB"
-        mend = "lower scene.camera.resolution, or take fewer views"
+        mend = "lower scene.camera.resolution, or use fewer views"
         raise ConfigError([Mistake(place, key, f"{message}; {mend}")])
     return tuple(views)
 

@@ -63,7 +63,7 @@ class AdviseConfig(Section):
 
     biases: Entries = Field(
         default_factory=_biases,
-        description="sections of dotted keys; label names one, and parameters holds what to fit, as in fit.parameters",
+        description="sections of dotted keys; label is a name, and parameters the numbers to fit, as in fit.parameters",
     )
     filters: Entries = Field(default_factory=_filters, description="the same for filters")
     resolutions: _Sizes | None = Field(
@@ -73,7 +73,7 @@ class AdviseConfig(Section):
     within: Annotated[
         float,
         Limits(0, 1),
-        "the cheapest technique is recommended among those whose RMSE is at most this fraction above the least",
+        "the cheapest technique with an RMSE of at most this fraction above the lowest is recommended",
     ] = 0.03
 
     def faults(self) -> Iterator[Conflict]:
@@ -128,7 +128,7 @@ def _bad_entries(name: str, entries: Sequence[Mapping[str, Any]]) -> Iterator[Co
             yield (name, i, PARAMETERS), fault(f"is {show(parameters)}", "a section of bounds by key", mend)
             continue
         for key in filter(is_pose, parameters):
-            what = fault("moves the scene", "numbers of a technique, since all have the same truth", "remove it")
+            what = fault("moves the scene", "numbers of a technique, because all have the same truth", "remove it")
             yield (name, i, PARAMETERS, key), what
 
 

@@ -64,7 +64,7 @@ class PathConfig(Section):
             rows = [value if isinstance(value, list | tuple) else [value] for value in values]
             is_even = len(rows) > 1 and len({len(row) for row in rows}) == 1
             if not (is_even and all(is_number(x) for row in rows for x in row)):
-                expected = "two or more numbers, or lists of as many numbers each"
+                expected = "two or more numbers, or lists of equal length"
                 yield ("through", key), fault(f"is {show(values)}", expected, "write a list such as [0, 90, 180]")
 
 

@@ -60,7 +60,7 @@ def _file_name(name: str) -> str:
         raise fault(f"is {show(name)}", "text that can name a folder", "use letters, digits, '-' and '_'")
     size = len(name.encode())
     if size > _LONGEST_NAME:
-        expected = f"at most {_LONGEST_NAME}, since file systems allow 255 and a run adds to the name"
+        expected = f"at most {_LONGEST_NAME}, because file systems allow 255 and a run adds to the name"
         raise fault(f"has {size} bytes", expected, "shorten it")
     return name
 

@@ -54,7 +54,7 @@ class FitParameterConfig(Section):
         if self.initial is not None or is_pose(name):
             return
         if start is None:
-            message = f"has no start, since {name} is not set"
+            message = f"has no start, because {name} is not set"
             yield at, fault(message, "an initial value within the bounds", f"add initial, or set {name}")
         elif not self.lower <= start <= self.upper:
             yield at, self._outside(f"starts at {name} = {plain(start)}", f"give an initial value, change {name}")
@@ -132,11 +132,11 @@ class ShapeConfig(Section, fit.Shape):
             expected = "shadows traced under known lights"
             yield (
                 ("off",),
-                fault("is given together with images", expected, "remove it: lights start at their place in the scene"),
+                fault("is given together with images", expected, "remove it: lights start at their scene position"),
             )
         for key, others in (("images", self.images), ("targets", self.targets)):
             if others and self.unseen:
-                expected = "shadows traced from the scene, since others show no single shape"
+                expected = "shadows traced from the scene, because other shadows do not show a single shape"
                 yield ("unseen",), fault(f"is given together with {key}", expected, f"remove unseen or {key}")
         for i, phase in enumerate(self.phases):
             most = fit.widest_blur(*self.resolution)

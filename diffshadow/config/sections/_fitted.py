@@ -259,7 +259,7 @@ def _pose_faults(config: "Config", name: str) -> Iterator[PydanticCustomError]:
     elif needs_picture and name.startswith("shading.intensity."):
         mend = "name one of these, or remove all shading.intensities"
         expected = f"shading.{EACH_INTENSITY}0.{words[-1]}, and so on"
-        yield fault("has no effect, since shading.intensities take its place", expected, mend)
+        yield fault("has no effect, because shading.intensities replace it", expected, mend)
     else:
         known = [*poses(config), "scene.meshes.0.vertices.0.x"]
         yield fault("cannot be fitted in this scene", listing(known), did_you_mean(name, known, "name one of these"))

@@ -91,7 +91,7 @@ class DirectionalLightConfig(AnyLightConfig, scene.Sun):
         "the objects that the map is fitted to; with casters, pixels outside the map do not count",
     ] = "scene"
     shadow_camera: Annotated[
-        ShadowCamera | None, "camera of the map, instead of one that is fitted; pixels outside do not count"
+        ShadowCamera | None, "camera of the map, instead of a fitted camera; pixels outside do not count"
     ] = None
     exclusive = (("direction", "azimuth", "elevation"),)
     moving: ClassVar[Mapping[str, Setting]] = {
@@ -233,7 +233,7 @@ class MeshConfig(Section):
         Annotated[float, Limits(SMALLEST, FARTHEST), Unit("world units")] | None,
         "longest side to scale the mesh to, in world units",
     ] = None
-    drop_to_ground: Annotated[bool, "whether to move the mesh up or down until it stands on y = 0"] = False
+    drop_to_ground: Annotated[bool, "whether to move the mesh up or down to rest on y = 0"] = False
     translate: Annotated[Position, "translation, after scale and rotate, in world units"] = (0.0, 0.0, 0.0)
     rotate: Annotated[Angles, "rotation about the x, then the y, then the z axis, in degrees"] = (0.0, 0.0, 0.0)
     # Enough to scale the largest scenes to the smallest, and back.
@@ -254,16 +254,16 @@ class MeshConfig(Section):
     )
     alpha_cutoff: Annotated[
         Annotated[float, Limits(0, 1)] | None,
-        "the mesh is cut out where its alpha (the texture's times the vertices') is below this value; 0 cuts nothing "
-        "out; default: as the mesh file says",
+        "alpha (the texture's times the vertices') below which the mesh is cut out; 0 for no alpha test; default: as "
+        "in the mesh file",
     ] = None
     texture_wrap: Annotated[
         Annotated[scene.Wraps, Form(_WRAPS)] | None,
-        "wrapping of the texture beyond its image: repeat, clamp or mirror; default: as the mesh file says, or repeat",
+        "wrapping of the texture beyond its image: repeat, clamp or mirror; default: as in the mesh file, or repeat",
     ] = None
     texture_filter: Annotated[
         scene.TexelFilter | None,
-        "filter between texels: bilinear, or nearest; default: as the mesh file says, or linear",
+        "filter between texels: linear (bilinear) or nearest; default: as in the mesh file, or linear",
     ] = None
     casts: Annotated[
         bool, "whether it casts shadows, or only receives them; reference.blockers can let it block rays"

@@ -39,7 +39,7 @@ class FlickerConfig(PathConfig):
         for key in self.through:
             if ".".join(key.split(".")[:2]) not in _MOVES:
                 given = "is neither the camera's nor a light's"
-                mend = "take another key, such as scene.light.azimuth"
+                mend = "use another key, such as scene.light.azimuth"
                 yield ("through", key), fault(given, f"keys within {listing(_MOVES)}", mend)
 
 
@@ -62,7 +62,7 @@ class SweepConfig(AxesConfig):
     ] = None
     plot: Annotated[PlotConfig | None, "a figure of the results; default: none"] = None
     figures: Annotated[bool, "whether each run also writes its own figures"] = False
-    csv: Annotated[bool, "whether the table is also written as CSV where it is Parquet"] = False
+    csv: Annotated[bool, "whether the table is also written as CSV if it is Parquet"] = False
     exclusive = (("repeats", "seeds"),)
 
     @property

@@ -265,7 +265,7 @@ class ProjectiveShadowConfig(AnyTechniqueConfig, techniques.ProjectiveShadow):
         yield from _too_many_texels(config, ("technique", "resolution"), self.resolution, 1)
         if all(mesh.casts for mesh in config.scene.meshes):
             message, mend = (
-                "projects shadows onto meshes that do not cast, and all of scene.meshes cast",
+                "projects shadows only onto meshes that do not cast, but all of scene.meshes cast",
                 ("set casts: false for the receivers"),
             )
             yield ("technique", "type"), fault(message, "a mesh that does not cast", mend)
@@ -305,7 +305,7 @@ class EngineConfig(AnyTechniqueConfig, engines.Engine):
         if self.has_square_maps:
             return f"technique.type is {self.type}, whose maps are square"
         has_cube = any(light.type == "point" for light in config.scene.each_light.values())
-        return "a light is point, whose map is a cube's faces in engines" if has_cube else ""
+        return "a light is point, and engines draw its map as a cube's faces" if has_cube else ""
 
 
 class ThreeJsConfig(EngineConfig, engines.ThreeJs):

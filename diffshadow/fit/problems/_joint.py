@@ -351,7 +351,7 @@ def check_problem(joint: Joint, parameters: Parameters) -> None:
         raise ValueError(f"a parameter is named twice in {', '.join(names)}; expected each once")
     annealed = [name for name in names if name.removeprefix("technique.").split(".")[0] == "compare"]
     if annealed:
-        raise ValueError(f"{annealed[0]} cannot be fitted, since the fit itself makes the compare harden; leave it out")
+        raise ValueError(f"{annealed[0]} cannot be fitted, because the fit itself anneals the compare; leave it out")
     for end in (parameters.lower, parameters.upper):
         moved = joint.put(parameters, end)
         _check_allowed("technique", moved.technique)

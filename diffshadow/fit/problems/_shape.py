@@ -131,7 +131,8 @@ class ShapeProblem(eqx.Module):
         _check_technique(self.technique)
         if not np.array_equal(share_vertices(self.mesh), np.asarray(self.mesh.faces)):
             raise ValueError(
-                "several of the mesh's vertices are at one place, and would move apart; expected one vertex at each: "
+                "several of the mesh's vertices are at the same position, and would move apart; expected one vertex "
+                "at each position: "
                 "call geometry.weld on its vertices and faces"
             )
         if self.symmetry is not None:
@@ -147,7 +148,7 @@ def default_technique(resolution: Resolution) -> ShadowMapping:
 def _check_technique(technique: ShadowMapping) -> None:
     if not technique.map.silhouettes:
         raise ValueError(
-            "the technique's map has no silhouettes, so that vertices have no derivative; expected "
+            "the technique's map has no silhouettes, so vertices have no derivative; expected "
             "MapSettings(..., silhouettes=True)"
         )
     if not isinstance(technique.layout, SingleMap):
@@ -170,8 +171,8 @@ def mirror_partners(vertices: Float[HostArray, "v 3"], plane: tuple[float | int,
     size = np.ptp(vertices, axis=0).max()
     if far.max() > _SAME_PLACE * size or not np.array_equal(partner[partner], np.arange(len(vertices))):
         raise ValueError(
-            f"the mesh is no mirror image of itself at {normal.tolist()} · x = {offset:g}: vertex {far.argmax()} is "
-            f"{far.max():.3g} world units from its partner's place; expected a start with this symmetry, such as a "
+            f"the mesh is not symmetric across {normal.tolist()} · x = {offset:g}: vertex {far.argmax()} is "
+            f"{far.max():.3g} world units from its partner's position; expected a start with this symmetry, such as a "
             "sphere about a point of the plane"
         )
     return partner

@@ -57,7 +57,7 @@ class TechniqueProblem(AbstractProblem):
     ) -> "TechniqueProblem":
         """A problem that compares `technique` in a scene with one light with the reference of this scene.
 
-        The pixels that count are those where the reference has a surface that lies within the light's frustum.
+        A pixel counts if the reference has a surface there and the surface is within the light's frustum.
 
         **Arguments:**
 

@@ -50,7 +50,7 @@ class MatrixLight(AbstractLight):
         **Arguments:**
 
         - `world_to_eye`, `eye_to_clip`: (4, 4), for column vectors: transpose matrices for row vectors.
-        - `left_handed`: whether the eye looks along `+z`, as Babylon.js' and Direct3D's do. Such an eye sees the mirror
+        - `left_handed`: whether the eye looks along `+z`, as in Babylon.js and Direct3D. Such an eye sees the mirror
             image of this light's view, so the columns of the engine's map run in the opposite direction.
         - `depth`: clip depth over w at near and far: (-1, 1) for OpenGL, (0, 1) for Direct3D, Metal and WebGPU, (1, 0)
             for reversed depth.

@@ -104,14 +104,14 @@ def _look(look: BaseColour) -> dict[str, Any]:
 def _remarks(material: Material, has_normals: bool, has_texture: bool) -> Iterator[str]:
     """The differences between a mesh here and in the file."""
     if material.alpha_mode == "MASK" and not has_texture:
-        yield "its alpha test is left out, since it has no texture that can be read; the whole surface casts"
+        yield "its alpha test is left out, because it has no readable texture; the whole surface casts"
     transmission = material.extensions.get(TRANSMISSION)
     if material.alpha_mode == "BLEND" or (isinstance(transmission, dict) and transmission.get("transmissionFactor")):
-        yield "it is transparent, and opaque here; in shadow maps it is opaque in three.js, too"
+        yield "it is transparent, but opaque here; in shadow maps it is also opaque in three.js"
     if UNLIT in material.extensions:
-        yield "its material is unlit (KHR_materials_unlit) and shows no shadows; here it does"
+        yield "its material is unlit (KHR_materials_unlit) and shows no shadows; here it shows them"
     if not has_normals:
-        yield "it has no normals; it gets its faces' normals"
+        yield "it has no normals; its faces' normals are used"
 
 
 def _placed(document: Document, remarks: list[str]) -> tuple[list[SceneCamera], list[SceneLight]]:

@@ -121,7 +121,7 @@ class SceneFile(NamedTuple):
 
     - `meshes`, `cameras`, `lights`: in the order of the file.
     - `engine`: the engine whose settings these are.
-    - `remarks`: what was left out or changed, each a sentence without a full stop.
+    - `remarks`: the omitted or changed parts, each as a sentence without a full stop.
     - `left_out`: the number of meshes, or parts of meshes, that were left out. `remarks` has the reasons.
     """
 

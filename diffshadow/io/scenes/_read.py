@@ -73,7 +73,7 @@ def _of_mesh(file: Path) -> SceneFile:
     corners = np.asarray(mesh.vertices, np.float64)[faces]
     normals = np.asarray(mesh.corner_normals, np.float64)
     if up_of(corners, False) == "z":
-        remarks.append("z is taken as up, since the mesh lies flat across z; it is turned so that y is")
+        remarks.append("z is up, because the mesh is flat across z; it is rotated so that y is up")
         corners, normals = y_up(corners), y_up(normals)
     return SceneFile([*_by_texture(file.stem, mesh, corners, normals)], [], [], None, remarks)
 
@@ -114,5 +114,7 @@ def _content(data: bytes) -> Mapping[str, Any]:
             f"is neither JSON nor GLB ({error}); expected JSON.stringify(scene.toJSON()) of three.js, or glTF"
         ) from error
     if not isinstance(content, dict):
-        raise MeshError("holds a JSON value that is no object; expected what scene.toJSON() of three.js gives, or glTF")
+        raise MeshError(
+            "holds a JSON value that is not an object; expected the result of three.js' scene.toJSON(), or glTF"
+        )
     return content

@@ -115,7 +115,7 @@ def _interleaved(attribute: Attribute, data: GeometryData | None, name: str) -> 
     buffer = data.interleaved_buffers.get(attribute.data or "") if data is not None else None
     words = data.array_buffers.get(buffer.buffer) if data is not None and buffer is not None else None
     if buffer is None or words is None:
-        raise damaged(f"its attribute {name} lies in a buffer that the file lacks")
+        raise damaged(f"its attribute {name} is in a buffer that the file lacks")
     kind = _kind(buffer.type)
     values = np.frombuffer(_numbers(words, name).astype(np.uint32).tobytes(), kind)
     if attribute.offset + attribute.item_size > buffer.stride:

@@ -24,7 +24,7 @@ _MAX_SEGMENTS = 1 << 12
 class Geometry(NamedTuple):
     """A shape.
 
-    - `vertices`, `normals`: (v, 3); the normals are none if it has none.
+    - `vertices`, `normals`: (v, 3); `normals` is `None` if it has no normals.
     - `faces`: (f, 3), indices into `vertices`.
     - `groups`: first face, number of faces and material of each part, if parts may differ in material.
     """
@@ -255,7 +255,7 @@ def lathe(
     phi_start: float = 0.0,
     phi_length: float = 2 * np.pi,
 ) -> Geometry:
-    """A line turned about the y axis."""
+    """A line rotated about the y axis."""
     line = np.array([[point["x"], point["y"]] for point in points], float)
     step = np.diff(line, axis=0)
     across = np.stack([step[:, 1], -step[:, 0]], axis=-1)

@@ -238,11 +238,11 @@ def _remark_geometry(entry: _Placed, stored: GeometryEntry, geometry: Geometry, 
     name = entry.name
     has_morphs = stored.data is not None and bool(stored.data.morph_attributes)
     if entry.object.type == "SkinnedMesh":
-        remarks.append(f"{name}: its skin is left out; its size and place are those of its vertices")
+        remarks.append(f"{name}: its skin is left out; its size and position come from its vertices")
     if has_morphs and any(entry.object.morph_target_influences):
         remarks.append(f"{name}: its morph targets are left out; the mesh is its base")
     if geometry.normals is None:
-        remarks.append(f"{name}: it has no normals, so that normalBias does not move it, and its shading is dark")
+        remarks.append(f"{name}: it has no normals, so normalBias does not move it, and its shading is dark")
 
 
 def _remark_material(name: str, material: Material, object: Object, remarks: list[str]) -> None:
@@ -258,11 +258,11 @@ def _remark_material(name: str, material: Material, object: Object, remarks: lis
     if material.map is not None:
         remarks.append(f"{name}: its texture is left out; shadows do not depend on it")
     if material.transparent and material.opacity < 1:
-        remarks.append(f"{name}: it is transparent, and opaque here; in shadow maps it is opaque in three.js, too")
+        remarks.append(f"{name}: it is transparent, but opaque here; in shadow maps it is also opaque in three.js")
     if material.type in _OWN_SHADERS:
         remarks.append(f"{name}: its {material.type} is left out; the vertices are as they are stored")
     elif object.receive_shadow and material.type in _UNLIT:
-        remarks.append(f"{name}: its {material.type} shows no shadows in three.js; here it does")
+        remarks.append(f"{name}: its {material.type} shows no shadows in three.js; here it shows them")
 
 
 def _camera(entry: _Placed, remarks: list[str]) -> SceneCamera:
@@ -296,15 +296,15 @@ def _light(entry: _Placed, positions: Mapping[str, Vector], remarks: list[str]) 
     direction = None
     if kind != "point":
         if object.cast_shadow and object.target not in positions:
-            remarks.append(f"{entry.name}: its target is not in the scene, so that it is taken to be the origin")
+            remarks.append(f"{entry.name}: its target is not in the scene, so the origin is used")
         target = np.array(positions.get(object.target or "", (0.0, 0.0, 0.0)))
         direction = _vector(target - entry.position)
         if not any(direction):
             # The engine looks from a position at the same position.
             direction = (0.0, 0.0, -1.0)
             remarks.append(
-                f"{entry.name}: its target is at its own position, so that it has no direction; (0, 0, -1) is "
-                "taken, as in three.js' shadow camera"
+                f"{entry.name}: its target is at its own position, so it has no direction; (0, 0, -1) is used, as in "
+                "three.js' shadow camera"
             )
     inner = outer = None
     if kind == "spot":

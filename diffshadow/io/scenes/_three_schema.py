@@ -204,7 +204,7 @@ def parse(content: Mapping[str, Any]) -> Document:
         kind = metadata.get("type") if isinstance(metadata, Mapping) else None
         found = f"its metadata.type is {excerpt(str(kind))}" if kind else "it has neither object nor asset"
         raise MeshError(
-            f"holds no scene that can be read ({found}); expected what scene.toJSON() of three.js gives, or glTF 2.0"
+            f"holds no scene that can be read ({found}); expected the result of three.js' scene.toJSON(), or glTF 2.0"
         )
     try:
         document = Document.model_validate(content)

@@ -49,7 +49,7 @@ class LinearBias(AbstractBias):
             raise ValueError("the linear bias has no terms; expected one or more")
         for name, weight in self.weights.items():
             if name not in FEATURES:
-                raise ValueError(f"the linear bias has a term {name!r}; expected some of {', '.join(FEATURES)}")
+                raise ValueError(f"the linear bias has a term {name!r}; expected terms among {', '.join(FEATURES)}")
             check_value(f"LinearBias.weights[{name!r}]", weight, Settings.each()[name])
 
     def total(self, receiver: Receiver) -> Float[Array, "h w"]:

@@ -49,7 +49,7 @@ class PerceptronBias(AbstractBias):
 
         - `sizes`: sizes of the hidden layers.
 
-        **Raises** as the class does.
+        **Raises** the errors of the class.
         """
         keys = jax.random.split(jax.random.key(seed), len(sizes))
         widths = [len(_inputs(linear)), *sizes]
@@ -68,7 +68,7 @@ class PerceptronBias(AbstractBias):
     ) -> "PerceptronBias":
         """The perceptron with these numbers: for each hidden layer the weights, row by row, and the biases.
 
-        **Raises** as the class does, and if rows of weights differ in length.
+        **Raises** the errors of the class, and `ValueError` if rows of weights differ in length.
         """
         layers = []
         for weight, bias in hidden:
@@ -90,11 +90,11 @@ class PerceptronBias(AbstractBias):
             given = ", ".join(f"{rows} x {columns}" for rows, columns in [*shapes, (1, self.last.size)])
             raise ValueError(
                 f"the perceptron has {inputs} inputs and layers of {given} weights; expected one or more hidden "
-                "layers, each with as many columns as the one before has rows, and a bias for each row"
+                "layers, where the columns of each layer match the rows of the layer before, and a bias for each row"
             )
         if self.count > MAX_WEIGHTS:
             raise ValueError(
-                f"the perceptron has {self.count} weights; expected at most {MAX_WEIGHTS}: take smaller layers, or "
+                f"the perceptron has {self.count} weights; expected at most {MAX_WEIGHTS}: use smaller layers, or "
                 "fewer terms"
             )
         for known in map(concrete, jax.tree.leaves(eqx.filter((self.hidden, self.last), eqx.is_inexact_array))):
@@ -103,7 +103,7 @@ class PerceptronBias(AbstractBias):
 
     @property
     def weights(self) -> dict[str, Any]:
-        """Of the linear terms."""
+        """The weights of the linear terms."""
         return self.linear.weights
 
     @property

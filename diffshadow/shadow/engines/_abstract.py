@@ -242,7 +242,7 @@ def _covered(state: EngineMap, surface: Surface) -> Mask:
 
 
 def within(state: EngineMap, surface: Surface) -> Mask:
-    """Pixels whose surface lies within the light's frustum, (h, w)."""
+    """Pixels whose surface is within the light's frustum, (h, w)."""
     if isinstance(state.light, PointLight):
         along = jnp.max(jnp.abs(surface.position - state.light.position), axis=-1)
         return (along >= state.light.near) & (along <= state.light.far)

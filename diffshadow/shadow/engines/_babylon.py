@@ -363,7 +363,7 @@ def _contact_hardening(
 
     **Arguments:**
 
-    - `turn`: the angle by which each receiver's taps are turned.
+    - `turn`: the angle by which each receiver's taps are rotated.
     """
     u, v = at.u, at.v
     color, depth = _color_of_pushed(settings, state), _pushed(settings, state.depth)

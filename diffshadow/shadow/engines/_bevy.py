@@ -98,8 +98,8 @@ class Bevy(AbstractEngineShadows):
         size = self.resolution[0]
         if size & (size - 1):
             raise ValueError(
-                f"Bevy.resolution is {self.resolution}; expected a power of two, since the engine "
-                f"rounds other sizes up: {1 << size.bit_length()}"
+                f"Bevy.resolution is {self.resolution}; expected a power of two, because the engine rounds other "
+                f"sizes up: {1 << size.bit_length()}"
             )
 
     def prepare(self, scene: Scene, surface: Surface | None = None) -> EngineMap:

@@ -21,8 +21,8 @@ class EngineSetting(NamedTuple):
     """A setting of an engine.
 
     - `engine`, `setting`: their names, such as `"three.js"` and `"light.shadow.bias"`.
-    - `value`: the value in the engine's unit, or `None` if the engine has no counterpart; `note`: what else the value
-        depends on.
+    - `value`: the value in the engine's unit, or `None` if the engine has no counterpart; `note`: further conditions of
+      the value.
     - `is_verified`: whether the formula is checked against the engine's own pictures.
     """
 
@@ -238,7 +238,7 @@ def _bevy(c: _Common, is_verified: bool = True) -> list[EngineSetting]:
 
 
 def _unity(c: _Common, normal: float) -> list[EngineSetting]:
-    soft = "; hard shadows; more for soft ones" if c.softness == 1 else ""
+    soft = "; for hard shadows, larger for soft shadows" if c.softness == 1 else ""
     bias, normal = c.b / c.t / c.softness, normal / c.softness
     return [
         _read("Unity URP", "shadowBias (depth)", bias, c.shift(f"texels{soft}", 0)),

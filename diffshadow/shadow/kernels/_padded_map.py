@@ -45,9 +45,8 @@ class PaddedMap(eqx.Module):
         return self.width + 2 * self.margin
 
     def place(self, x: Float[Array, "*n"], y: Float[Array, "*n"], layer: Int[Array, "*n"] | None) -> Int[Array, "*n"]:
-        """Index of texel (x, y), integers. There are `margin` texels to its right, and as many above it.
-
-        If all of these texels lie outside the map, it is the index of other empty texels.
+        """Index of texel (x, y), integers. There are `margin` texels to its right and `margin` texels above it. If all
+        of these texels are outside the map, the index refers to other empty texels.
         """
         row = _count_from(-self.margin, y, self.height)
         if layer is not None:

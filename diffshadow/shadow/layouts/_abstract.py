@@ -85,7 +85,7 @@ class AbstractLayout(CheckedModule):
         """
         raise ValueError(
             f"the layout is {type(self).__name__}, whose pages have no shader; expected SingleMap, Cascades or "
-            "PerspectiveWarp: cascades selected by map come nearest"
+            "PerspectiveWarp: the most similar is cascades selected by map"
         )
 
     def map_figure(self, light: AbstractLight) -> MapFigure | None:

@@ -106,7 +106,7 @@ class Cascades(AbstractFittedLayout):
         if self.shadow_distance is not None or self.depths != "camera":
             raise ValueError(
                 f"the cascades have distances, and also shadow_distance = {self.shadow_distance} or depths = "
-                f"{self.depths!r}; expected the last distance to be the shadow distance: remove the others"
+                f"{self.depths!r}; expected the last distance as the shadow distance: remove the others"
             )
         known = [concrete(each) for each in distances]
         if not any(each is None for each in known) and not (np.diff(np.array(known, float)) > 0).all():
@@ -120,8 +120,8 @@ class Cascades(AbstractFittedLayout):
         given = None if any(each is None for each in known) else np.array(known, float)
         if len(shares) != self.count:
             raise ValueError(
-                f"the cascades have {counted(len(shares), 'share')}, and their count is {self.count}; expected as "
-                "many: give one for each"
+                f"the cascades have {counted(len(shares), 'share')}, and their count is {self.count}; expected the "
+                "same number: give one share for each cascade"
             )
         if not 0 < self.max_share <= 1:
             raise ValueError(f"the cascades' max_share is {self.max_share}; expected more than 0, and at most 1")
@@ -248,9 +248,9 @@ class Cascades(AbstractFittedLayout):
         if not (self.stabilize and self.depths == "surface"):
             return ()
         return (
-            "has cascades that are not stable, although stabilize is true: with depths = surface, slices follow what "
-            "the camera sees, so that cascades change size and texels move on surfaces as it moves; set depths to "
-            "camera for stable ones, or stabilize to false for finer texels",
+            "has cascades that are not stable, although stabilize is true: with depths = surface, slices follow the "
+            "camera's view, so cascades change size and texels move on surfaces when the camera moves; set depths to "
+            "camera for stable cascades, or stabilize to false for finer texels",
         )
 
     def map_figure(self, light: AbstractLight) -> MapFigure:

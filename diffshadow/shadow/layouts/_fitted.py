@@ -30,8 +30,9 @@ class AbstractFittedLayout(AbstractLayout):
     def check_reach(self, reach: float) -> None:
         if self.margin < reach * (1 - _ROUNDING):
             raise ValueError(
-                f"the layout's margin is {self.margin:g} texels, and the filter and the normal offset read "
-                f"{reach:g} texels from a receiver, where the map may end; expected at least that: raise margin, or "
+                f"the layout's margin is {self.margin:g} texels, and the filter and the normal offset read up to "
+                f"{reach:g} texels from a receiver, beyond the map's end; expected at least this margin: raise "
+                "margin, or "
                 "lower the radius"
             )
 
@@ -54,7 +55,9 @@ class AbstractFittedLayout(AbstractLayout):
                 f"(height, width); expected more than {2 * self.margin + 1:g}: enlarge the maps, or lower margin"
             )
         if self.needs_surface and surface is None:
-            raise ValueError("the layout follows the depths of the surface, and none was given; expected a surface")
+            raise ValueError(
+                "the layout follows the depths of the surface, but no surface was given; expected a surface"
+            )
         if self.shadow_distance is not None:
             check_depths("shadow_distance is", [self.shadow_distance], camera)
 

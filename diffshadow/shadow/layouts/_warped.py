@@ -47,13 +47,13 @@ class PerspectiveWarp(AbstractFittedLayout):
     are also in texels. Texels are longer or shorter along the view than across it, so a disk in the map is an ellipse
     on the surface. A map with silhouettes, or a polygon offset, cannot be warped.
 
-    Let z₀ be the least depth that the map shows, γ the angle between light and view, d the height of the map in world
+    Let z₀ be the minimum depth that the map shows, γ the angle between light and view, d the height of the map in world
     units, and z₁ = `z₀ + d sin γ`. The strength w of the warp is
 
     - `"lispsm"`: `sqrt(z₁ / z₀) - 1`, which makes perspective aliasing along the view equal at both ends, and its
         maximum as small as possible (Wimmer, Scherzer & Purgathofer 2004, as revised in 2005);
     - `"perspective"`: `z₁ / z₀ - 1`, the strength of perspective shadow maps (Stamminger & Drettakis 2002). They warp
-        space as the camera does. Here the perspective runs along the map, so there are no singular cases;
+      space in the same way as the camera. Here the perspective runs along the map, so there are no singular cases;
     - `"trapezoidal"`: the region within the `focus` gets 80 % of the map (trapezoidal shadow maps, Martin & Tan 2004),
         with at most the warp of `"perspective"`.
 
@@ -64,11 +64,11 @@ class PerspectiveWarp(AbstractFittedLayout):
     at the height `1 + 1 / w`, so a stronger warp would leave no space for the margin.
 
     Along the view, the maximum error of a warp is at the far end. It is `(1 + w) z₀ / z₁` times the maximum without a
-    warp. A strength of more than `z₁ / z₀ - 1` is therefore worse than no warp, and z₀ should be the least depth of the
-    visible surface. A camera's near plane is often much nearer, so `"perspective"` follows the depths of the surface by
-    default. `"lispsm"` grows only with the root of z₁ / z₀, and `"trapezoidal"` hardly depends on z₀. Both follow the
-    camera's near and far by default, which do not change with the visible surface. On four scenes, `"lispsm"` had 0.75
-    to 1.26 times as large an error with the camera's depths as with the surface's.
+    warp. A strength of more than `z₁ / z₀ - 1` is therefore worse than no warp, and z₀ should be the minimum depth of
+    the visible surface. A camera's near plane is often much nearer, so `"perspective"` follows the depths of the
+    surface by default. `"lispsm"` grows only with the root of z₁ / z₀, and `"trapezoidal"` hardly depends on z₀. Both
+    follow the camera's near and far by default, which do not change with the visible surface. On four scenes,
+    `"lispsm"` had 0.75 to 1.26 times as large an error with the camera's depths as with the surface's.
 
     A plane's depth is linear over the map only to first order. A `ReceiverPlane` under a filter of radius r texels
     needs a `fudge` of up to `w (r + 1)² / h`, where h is the map's height in texels.
@@ -78,9 +78,9 @@ class PerspectiveWarp(AbstractFittedLayout):
     - `focus`: for `"trapezoidal"`, the fraction of d at the camera's end that 80 % of the map shows, in (0, 1].
     - `shadow_distance`: the depth along the camera's axis, in world units, beyond which nothing is shadowed; by default
       the camera's far. - `depths`: the depths that the map shows. `"camera"`: from the camera's near to its far.
-      `"surface"`: from the least to the greatest depth of the surface that the camera sees, so that no texels are spent
-      on empty space in front of the surface. Defaults to `"surface"` for `"perspective"`, and to `"camera"` for the
-      other methods.
+      `"surface"`: from the minimum to the maximum depth of the visible surface, so that no texels are spent on empty
+      space in front of the surface. Defaults to `"surface"` for `"perspective"`, and to `"camera"` for the other
+      methods.
     - `margin`: the margin of the map beyond the camera's view, in texels, so that filters read no texels beyond the
       border. It must be at least the maximum radius of the filter, plus half a texel if its look-ups are bilinear, plus
       any normal offset. At the far end, the margin is narrower if `strength` is set above `1 / (2 m)`.
@@ -122,7 +122,7 @@ class PerspectiveWarp(AbstractFittedLayout):
             if sine is not None and sine < _MIN_SINE:
                 raise ValueError(
                     f"the warp's strength is {float(strength):g}, and the light shines along the camera's axis, where "
-                    'no warp helps; expected 0: leave strength out, so that method "lispsm" finds it'
+                    'no warp helps; expected 0: leave strength out, and method "lispsm" finds it'
                 )
         return _warped_light(self, light, camera, resolution, surface if self.needs_surface else None)
 

@@ -19,8 +19,8 @@ class WarpedLight(AbstractFittedLight):
     - `camera`: the view of the camera.
     - `end`: the depth along the camera's axis at which the map ends, in world units.
     - `up`: (2,), the direction of the map's y axis in the light's own eye space; a unit vector.
-    - `scale`, `offset`: (2,), the window in the turned eye space: before the warp, a point's clip coordinates x and y
-        are `scale · xy + offset`, with `scale` per world unit.
+    - `scale`, `offset`: (2,), the window in the rotated eye space. Before the warp, the clip coordinates x and y of a
+      point are `scale · xy + offset`, with `scale` per world unit.
     - `warp`: the perspective.
     """
 

@@ -5,10 +5,10 @@ Parts of shaders are written in GLSL. These rules allow a translation of each li
 - each declaration has its own line, and so does a function's head, which ends in ` {`;
 - floats have a decimal point, and vectors are made from one number for each component;
 - parameters are not assigned to, and vectors are assigned whole;
-- `shadow_select(no, yes, condition)` stands for `?:`; matrices are multiplied by `shadow_times`;
+- `shadow_select(no, yes, condition)` replaces `?:`; matrices are multiplied by `shadow_times`;
 - a map is a `sampler2D` argument, read by `shadow_fetch` and measured by `shadow_size`;
 - another texture is a `ShadowTexture`, read by `shadow_texel`;
-- `SHADOW_MAPS` stands for the parameters, and `shadow_maps` for the arguments, of the map and all other textures;
+- `SHADOW_MAPS` expands to the parameters of the map and all other textures, and `shadow_maps` to the arguments;
 - all global names begin with `shadow`, `SHADOW_` or `Shadow`, for `renamed`.
 """
 

@@ -24,7 +24,7 @@ from ._languages import LANGUAGES, renamed
 
 # The reasons why techniques have no shader, and the most similar techniques that have one.
 _REFUSED: Mapping[type[AbstractTechnique], str] = {
-    ShadowVolumes: "it draws volumes into a stencil buffer, and looks nothing up; the most similar is ShadowMapping "
+    ShadowVolumes: "it draws volumes into a stencil buffer, without a look-up; the most similar is ShadowMapping "
     "with a large map and the filter Nearest",
     IrregularZBuffer: "it stores a list of pixels for each texel; the most similar is ShadowMapping with Cascades",
     ProjectiveShadow: "it reads a texture and compares no depths; the most similar is ShadowMapping",
@@ -116,7 +116,7 @@ def _shader_of(technique: AbstractTechnique, light: AbstractLight) -> ShaderPart
         )
     if technique.map.silhouettes:
         raise ValueError(
-            "map.silhouettes is true, which has no shader; expected false, since shaders compare only stored depths: "
+            "map.silhouettes is true, which has no shader; expected false, because shaders compare only stored depths: "
             "the most similar is a map of more texels"
         )
     layout = technique.layout
@@ -137,7 +137,7 @@ def _shader_of(technique: AbstractTechnique, light: AbstractLight) -> ShaderPart
     if factors is not None and count != len(factors):
         raise ValueError(
             f"the bias has {counted(len(factors), 'factor')}, and the map has {counted(count, 'layer')}; expected one "
-            "for each layer: leave factors out, or give as many"
+            "for each layer: leave factors out, or give this number of factors"
         )
     bias, filter = technique.bias.shader(), technique.filter.shader()
     fixed = technique.map.depth_format != "float32"

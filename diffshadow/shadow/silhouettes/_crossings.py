@@ -140,8 +140,8 @@ def _outermost(
     """`OutlineCrossings.at`, from the texels at `place` on both sides of each crossing, and the side of each that it is
     on.
 
-    A crossing lies on the first of two sides (row 0), and may belong to the other (row 1); there it counts only if none
-    lies on it. Of `count` texels; that number stands for none.
+    A crossing lies on the first of two sides (row 0), and may belong to the other (row 1); there it counts only if no
+    crossing is on it. The result is for `count` texels. The value `count` means no texel.
     """
     crossings = begins.size
     row = jnp.arange(2, dtype=jnp.int32)[:, None]

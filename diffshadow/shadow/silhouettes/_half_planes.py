@@ -44,7 +44,7 @@ class HalfPlanes(NamedTuple):
 
 
 def cut_area(rectangle: Rectangle, planes: HalfPlanes) -> Float[Array, "*n"]:
-    """Area of the part of each `rectangle` (n,) that lies in both of its half-planes (2, n).
+    """Area of each `rectangle` (n,) inside both of its half-planes (2, n).
 
     Differentiable with respect to all.
     """

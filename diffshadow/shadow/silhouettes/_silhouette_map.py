@@ -72,7 +72,7 @@ class SilhouetteMap(eqx.Module):
         part: Rectangle,
         motion: tuple[Float[Array, "*n"], Float[Array, "*n"]] | None = None,
     ) -> Float[Array, "*n"]:
-        """Area, in square texels, of the `part` of a texel that lies inside both half-planes.
+        """Area, in square texels, of the `part` of a texel inside both half-planes.
 
         `part` is relative to the texel's centre. Half-planes that follow edges are moved by `motion` (texels) if given.
         """

@@ -251,7 +251,7 @@ def _of_times() -> str:
     processor = versions()["processor"]
     where = f"all cores of {processor}" if jax.default_backend() == "cpu" else str(jax.devices()[0].device_kind)
     return (
-        f"times are for this renderer on {where}, for one view with all its lights, after compiling: they compare "
+        f"times are for this renderer on {where}, for one view with all its lights, after compilation: they compare "
         "techniques, and do not predict the times of an engine"
     )
 

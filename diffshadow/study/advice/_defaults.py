@@ -32,11 +32,11 @@ _MEASURED: Mapping[EngineName, str] = {
     "godot_compatibility": "Soft Low",
 }
 _IN_METRES = "for scenes whose unit is a metre; under a sun, the width of a texel follows the view camera"
-_THERE_ONLY = "at other distances, only settings that grow with the distance, as texels do, stay valid"
+_THERE_ONLY = "at other distances, only settings that grow with the distance, like texels, stay valid"
 # Other properties of the engines' biases, in the version for which the rules were measured.
 _BESIDES: Mapping[EngineName, str] = {
     "three.js": "back faces cast, as by default (material.shadowSide)",
-    "playcanvas": "shadowBias also grows with the slope of what casts",
+    "playcanvas": "shadowBias also grows with the slope of the caster",
     **{name: f"beside {beside(name)}" for name in POLYGON_OFFSETS},
 }
 
@@ -69,7 +69,7 @@ _USUAL: Mapping[EngineName, _Usual] = {
     "bevy": _Usual(2048, 2 * _VIEW * 10, 2 * _VIEW * 10, f"{_FIRST}, up to 10"),
     "filament": _Usual(1024, 2 * _VIEW * 50, 2 * _VIEW * 50, "one cascade for a view that is 50 units deep"),
     "unity": _Usual(1024, 2 * _VIEW * 6, 2 * _VIEW * 6, f"a quarter of 2048; {_FIRST}, up to an eighth of 50"),
-    "playcanvas": _Usual(1024, 2 * _VIEW * 40, 2 * _VIEW * 40, "one map for what the view camera sees up to 40"),
+    "playcanvas": _Usual(1024, 2 * _VIEW * 40, 2 * _VIEW * 40, "one map for the view camera's view, up to 40"),
     "godot_compatibility": _Usual(2048, 2 * _VIEW * 10, 2 * _VIEW * 10 + 20, f"a quarter of 4096; {_FIRST}, up to 10"),
 }
 
@@ -131,7 +131,9 @@ class LightOptions(NamedTuple):
             if value is None:
                 continue
             if name not in needed:
-                raise ValueError(f"--{name} is given for a {self.light} light, which has none; leave it out")
+                raise ValueError(
+                    f"--{name} is given for a {self.light} light, which does not have this option; leave it out"
+                )
             most = _MOST.get(name, FARTHEST)
             if not 0 < value <= most:
                 raise ValueError(
@@ -194,7 +196,7 @@ def print_defaults(
 def _refuse(needed: str, of: str, given: Mapping[str, float | None]) -> None:
     names = [f"--{name}" for name, value in given.items() if value is not None]
     if names:
-        raise ValueError(f"{names[0]} is given without --{needed}; expected both, since it belongs to {of}")
+        raise ValueError(f"{names[0]} is given without --{needed}; expected both, because it belongs to {of}")
 
 
 # --- Filters ---
@@ -235,7 +237,9 @@ def _print_filter(name: str, radius: float | None, console: Console) -> None:
         raise ValueError(f"--filter is {name}, which has no rule; expected {', '.join(_KERNELS)}; {mend}")
     kind = _KERNELS[name]
     if radius is not None and "radius" not in kind.each():
-        raise ValueError(f"--radius is given with {name}, which has none; expected a filter that has one; leave it out")
+        raise ValueError(
+            f"--radius is given with {name}, which has no radius; expected a filter with a radius; leave it out"
+        )
     if radius is not None and not 0 <= radius <= rules.MAX_REACH:
         raise ValueError(
             f"--radius is {radius:g}; expected 0 to {rules.MAX_REACH:g} texels, where the rule was measured; change it"

@@ -85,7 +85,7 @@ def _check(config: Config, engine: EngineName) -> None:
             what = f"is given, and --engine {engine} has its own; expected one of them; override advise.{name}=null"
             raise _mistake(config, ("advise", name), what)
     if not isinstance(config.technique, SingleMap | Engine):
-        what = f"is {config.technique.type}; expected shadow_map or an engine's, since one map is fitted for {engine}"
+        what = f"is {config.technique.type}; expected a single map for {engine}: shadow_map or an engine's technique"
         raise _mistake(config, ("technique", "type"), f"{what}; override technique.type=shadow_map")
 
 

@@ -84,9 +84,9 @@ def _explained(config: Config, name: str, value: float, one: float, noise: float
         f"{table.number('_rate', fitted['false_light_rate'])}."
     )
     if usual["rmse"] <= fitted["rmse"]:
-        return f"{says} That is no worse, so take {texels}."
+        return f"{says} That is no worse, so use {texels}."
     if usual["rmse"] <= fitted["rmse"] + noise:
-        return f"{says} That is as good within the reference's noise of {noise:.4f}, so take {texels}."
+        return f"{says} That is as good within the reference's noise of {noise:.4f}, so use {texels}."
     asking = _asking(drawn, as_fitted, as_usual)
     if asking is None:
         return says
@@ -97,7 +97,8 @@ def _explained(config: Config, name: str, value: float, one: float, noise: float
     return (
         f"{says} {counted(asking.darker, 'pixel')} of {asking.lit:,} in light {asks} a larger bias: with the usual "
         f"one, each would lose more than a tenth of its light, {asking.share:.0%} of it on "
-        f"scene.meshes.{asking.mesh} ({path}), where the light meets surfaces at {asking.degrees:.0f}° (median){width}."
+        f"scene.meshes.{asking.mesh} ({path}), where the angle between the light and surfaces is "
+        f"{asking.degrees:.0f}° (median){width}."
     )
 
 

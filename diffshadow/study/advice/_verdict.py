@@ -82,12 +82,12 @@ def _against_best(found: Findings) -> Iterator[str]:
     if found.noise is not None and chosen.rmse - best.rmse <= found.noise:
         noise = f" The difference is below the reference's noise of {found.noise:.4f}, so the cheaper one is chosen."
     if margin > found.within * best.rmse:
-        good = f"the reference's noise of {margin:.4f} of the least RMSE"
+        good = f"the reference's noise of {margin:.4f} of the lowest RMSE"
         # Techniques that only more rays could tell apart count as equal.
         if margin > _NOISY * best.rmse:
             noise += " More reference.samples would tell more techniques apart."
     else:
-        good = f"{100 * found.within:g} % of the least RMSE"
+        good = f"{100 * found.within:g} % of the lowest RMSE"
     yield (
         f"It is as fast as any within {good}. {_upper(best.name)} has {best.rmse:.4f}, {_time(best, chosen)}; the "
         f"recommended one has {_percent(more)} more.{noise}"
@@ -127,7 +127,7 @@ def _less_acne(found: Findings) -> Iterator[str]:
         if least.false_shadow > chosen.false_shadow + _SAME_RATE:
             yield (
                 f"No {peer.bias} bias within its bounds removes acne to the {_percent(chosen.false_shadow)} of "
-                f"{chosen.bias}: the least, {_percent(least.false_shadow)}, is at {value}, with "
+                f"{chosen.bias}: the lowest, {_percent(least.false_shadow)}, is at {value}, with "
                 f"{_percent(least.false_light)} of false light; {rest}"
             )
         elif least.false_light > chosen.false_light + _SAME_RATE:

@@ -17,7 +17,7 @@ _LAYERS = (1 << 32) - 1
 
 
 def completed(scene: io.SceneFile, camera: str | None, light: str | None, remarks: list[str]) -> io.SceneFile:
-    """`scene` with a camera and a light, if it has none and none is named. A remark says what was added.
+    """`scene` with a camera and a light, if it has none and none is named. A remark names the added parts.
 
     A scene without camera or light also gets a ground if it has none, because its shadow would fall on nothing.
 

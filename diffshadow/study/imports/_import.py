@@ -34,7 +34,7 @@ def import_scene(
     shadow_type: ShadowType = ThreeJs.shadow_type,
     output: str | os.PathLike[str] | None = None,
 ) -> Path:
-    """Writes the configuration of a scene's file and its meshes. Prints what is imported and what is left out.
+    """Writes the configuration of a scene's file and its meshes. Prints the imported and the omitted parts.
 
     **Arguments:**
 
@@ -61,7 +61,7 @@ def import_scene(
     written = folder / f"{name}.yaml"
     if written.exists():
         raise io.FileError(
-            f"{written} exists already; expected no such file, since it may have been edited; remove it, or give "
+            f"{written} exists already; expected a new file, because it may have been edited; remove it, or give "
             "another folder with --output"
         )
     scene = io.read_scene(file)
@@ -103,7 +103,7 @@ def _converted(
     if technique == "three.js" and scene.engine is None:
         remarks.append("the file has no settings of shadows: bias, radius, map size and sides are three.js' defaults")
     if technique == "three.js":
-        remarks.append(f"renderer.shadowMap.type is not in the file; {shadow_type} is taken (--shadow-type)")
+        remarks.append(f"renderer.shadowMap.type is not in the file; {shadow_type} is used (--shadow-type)")
     text = _text({"name": written.stem, **settings}, file.name)
     _check(text, file, folder)
     near = [
@@ -134,7 +134,7 @@ def _check(text: str, file: Path, folder: Path) -> None:
     try:
         parse_config(text, folder=folder, fitting=True, files=False)
     except ConfigError as error:
-        said = "it is taken from the scene: change it there"
+        said = "it comes from the scene: change it there"
         raise ConfigError(
             [Mistake(Location(str(file)), each.key, f"{each.message} ({said})") for each in error.mistakes]
         ) from error

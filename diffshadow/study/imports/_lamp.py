@@ -42,7 +42,10 @@ def lamp_size(meshes: Sequence[io.SceneMesh], position: Float[HostArray, "3"]) -
         return _radius(mesh), f"the radius of its mesh {mesh.name}"
     distance = distance_lit(meshes, position)
     radius = math.tan(math.radians(HALF_ANGLE)) * distance
-    return radius, f"seen under {2 * HALF_ANGLE:g} degree from {distance:.3g} world units, the median of what it lights"
+    return (
+        radius,
+        f"seen under {2 * HALF_ANGLE:g} degree from {distance:.3g} world units, the median distance of lit surfaces",
+    )
 
 
 def _points(mesh: io.SceneMesh) -> Float[HostArray, "v 3"]:

@@ -76,7 +76,7 @@ def check_casters(scene: io.SceneFile, meshes: Sequence[io.SceneMesh]) -> None:
         mend = remedies.mesh
         if scene.left_out:
             found += f", and {scene.left_out} left out"
-            mend = f"mend what is left out, as the notes say, or {mend}"
+            mend = f"fix the omitted parts as in the notes, or {mend}"
         raise ValueError(f"the scene has no mesh that casts shadows ({found}); expected one: {mend}")
 
 
@@ -86,7 +86,7 @@ def _named[T: (io.SceneCamera, io.SceneLight)](
     """The entry with this name, or the first entry."""
     names = ", ".join(dict.fromkeys(each.name for each in entries))
     if name is None:
-        remarks += [f"{each.name}: another {what}; left out, or take it with --{what}" for each in entries[1:]]
+        remarks += [f"{each.name}: another {what}; left out; --{what} selects it" for each in entries[1:]]
         return entries[0]
     found = [each for each in entries if each.name == name]
     if not found:

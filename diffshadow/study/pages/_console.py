@@ -69,7 +69,7 @@ def _print_fit(console: Console, record: records.FitRecord, seconds: float, resu
         print_profiles(console, record.profiles, record.fitted)
         if result is not None and result.sureness.prefer:
             chosen = "fit.prefer chose among values with at most"
-            print_lines(console, [f"{chosen} {100 * result.sureness.tolerance:.3g} % more than the least error"])
+            print_lines(console, [f"{chosen} {100 * result.sureness.tolerance:.3g} % more than the lowest error"])
     if record.front:
         print_front(console, record.front)
     if record.metrics.validation is not None:
@@ -184,7 +184,7 @@ def print_shape(console: Console, record: records.ShapeRecord) -> list[str]:
         share = measured.chamfer / measured.size
         lines.append(f"Chamfer distance {measured.chamfer:.4g} world units, {share:.2%} of the shape's size")
     return lines + [
-        f"{light.light} is {light.after:.3f}° from its place in the scene, {light.before:.3f}° before"
+        f"{light.light} is {light.after:.3f}° from its position in the scene, {light.before:.3f}° before"
         for light in measured.moved
     ]
 

@@ -48,7 +48,7 @@ def read_json(file: Path) -> Any:
     try:
         # Reading anything else, such as a pipe, could block forever.
         if not file.is_file():
-            raise io.FileError(f"there is no file {file}; expected what a run wrote: run it again")
+            raise io.FileError(f"there is no file {file}; expected a file of a run: run it again")
         if file.stat().st_size > _MAX_BYTES:
             raise io.FileError(
                 f"{file} has {file.stat().st_size:,} bytes; expected at most {_MAX_BYTES:,}: run it again"
@@ -57,7 +57,7 @@ def read_json(file: Path) -> Any:
     except io.FileError:
         raise
     except (OSError, ValueError) as error:
-        raise io.FileError(f"{file} is damaged ({error}); expected what a run wrote: run it again") from error
+        raise io.FileError(f"{file} is damaged ({error}); expected a file of a run: run it again") from error
 
 
 def json_of(stored: Any) -> bytes:
@@ -122,7 +122,7 @@ def _first(error: ValidationError) -> str:
     if first["type"] == DISAGREES:
         return f"{message}{more}"
     if first["type"] == "missing":
-        return f"{key} is missing; expected what a run wrote{more}"
+        return f"{key} is missing; expected a file of a run{more}"
     expected = _EXPECTED.get(first["type"])
     if expected is not None:
         expected = expected.format(**first.get("ctx", {}))

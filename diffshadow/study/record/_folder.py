@@ -105,7 +105,7 @@ def write_whole(folder: Path, write: Callable[[Path], None]) -> None:
     An earlier run at `folder` is kept until `write` has returned. Then its files are removed, and any other files in
     the folder are moved to the new one. If `write` raises, its files are removed. A link to a folder remains a link.
 
-    **Raises** `FullDiskError` if no space is left, and what `write` raises.
+    **Raises** `FullDiskError` if no space is left, and the errors of `write`.
     """
     folder = folder.resolve() if folder.is_dir() else folder
     made: list[Path] = []

@@ -354,7 +354,7 @@ class FitRecord(NumbersRecord):
         if (self.seed is None) != (self.command is None):
             raise disagrees("command and seed", "are not both there", "both, or neither of a fit made in Python")
         if self.command is None and self.metrics.resolution is None:
-            raise disagrees("metrics.resolution", "is missing", "the size of the images, since there is no command")
+            raise disagrees("metrics.resolution", "is missing", "the size of the images, because there is no command")
         phases, chosen = len(self.solver.phases), self.solver.chosen_phase
         if chosen >= phases:
             raise disagrees("solver.chosen_phase", f"is {chosen}", f"less than {phases}, the number of phases")

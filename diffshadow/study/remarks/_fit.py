@@ -22,7 +22,7 @@ from ._course import (
 
 # If an interval exceeds this fraction of the distance between the bounds, the value hardly matters.
 _FLAT = 0.5
-_IN_PICTURES = "since no pixel of the picture changes with it near its start: try another initial value"
+_IN_PICTURES = "because no pixel of the picture changes with it near its start: try another initial value"
 
 
 def remarks(config: Config | None, result: FitResult, kind: str = "fitted") -> list[str]:
@@ -67,7 +67,7 @@ def _undecided(result: FitResult) -> Iterator[str]:
 
 
 def _few_points(config: Config | None, result: FitResult) -> Iterator[str]:
-    """A sentence for a front of fewer points than asked for."""
+    """A sentence for a front with fewer points than requested."""
     count, asked = len(result.front), result.sureness.front
     if count < asked:
         yield (
@@ -127,9 +127,9 @@ def _flat(config: Config | None, name: str) -> str:
     if config is None:
         return f"{remark}; no pixel changes with it near its start: try another initial value, or a larger Anneal.start"
     if name == "filter.radius" and config.filter.looks_up_nearest:
-        return f"{remark}, since nearest look-ups have no gradient by it: set filter.lookup to bilinear"
+        return f"{remark}, because nearest look-ups have no gradient with respect to it: set filter.lookup to bilinear"
     if name == "filter.radius" and config.initial(name) == 0:
-        return f"{remark}, since it starts at 0: give it an initial value above 0"
+        return f"{remark}, because it starts at 0: give it an initial value above 0"
     return f"{remark}; no pixel changes with it near its start: try another initial value, or a larger fit.anneal.start"
 
 
@@ -147,8 +147,9 @@ def _on_bounds(config: Config | None, result: FitResult) -> Iterator[str]:
             yield f"{where}, where the error still falls: the best value may lie beyond it, so widen the bounds"
         elif what_is_fitted(result) == "picture":
             yield (
-                f"{where}, where the error still falls. That is the limit of {name}, so no bounds can be wider: "
-                "something that is not fitted differs from the picture; fit more of the scene as well, such as lights, "
+                f"{where}, where the error still falls. That is the limit of {name}, so wider bounds are not "
+                "possible: an object or number that is not fitted differs from the picture; fit more of the scene "
+                "as well, such as lights, "
                 "colours or reference.exposure"
             )
 
@@ -168,35 +169,37 @@ def pose_remarks(config: Config | None, result: FitResult, *, is_known: bool = T
         yield f"{name} was not fitted: its gradient is zero throughout, {cause}"
     for group in () if result.precision is None or not is_known else result.precision.undetermined:
         if len(group) == 1:
-            yield f"the {what} hardly determines {group[0]}: other values of it fit as well"
+            yield f"the {what} hardly determines {group[0]}: other values fit equally well"
         else:
             listed = f"{', '.join(group[:-1])} and {group[-1]}"
-            yield f"the {what} hardly determines {listed}: they can change together without a change of the error"
+            yield f"the {what} hardly determines {listed}: joint changes do not affect the error"
     if result.enlargements:
         yield f"memory for silhouettes was enlarged {result.enlargements} times during the fit; each time recompiles"
 
 
 def _cause_of_pose(config: Config | None, name: str) -> str:
     if config is None:
-        return "since no pixel changes with it: try another initial value, a filter with bilinear taps, or silhouettes"
+        return (
+            "because no pixel changes with it: try another initial value, a filter with bilinear taps, or silhouettes"
+        )
     section, *_, key = name.split(".")
     if section != "scene":
         if config.filter.looks_up_nearest:
-            return "since nearest look-ups have no gradient: choose a filter with bilinear ones"
-        return "since no pixel changes with it: try another initial value"
+            return "because nearest look-ups have no gradient: choose a filter with bilinear look-ups"
+        return "because no pixel changes with it: try another initial value"
     if key in ("azimuth", "elevation") and not _is_obeyed(config, name):
-        return "since the cone of a spot light without inner_angle is ignored: set inner_angle, or do not fit this"
+        return "because the cone of a spot light without inner_angle is ignored: set inner_angle, or do not fit this"
     if "meshes" in name:
         mesh = config.scene.meshes[int(name.split(".")[2])]
         if not mesh.casts:
-            return "since its mesh does not cast: set casts: true"
+            return "because its mesh does not cast: set casts: true"
     if not config.has_silhouettes:
-        return "since outlines have no gradient without silhouettes: remove shadow_map.silhouettes"
+        return "because outlines have no gradient without silhouettes: remove shadow_map.silhouettes"
     if config.filter.looks_up_nearest:
-        return "since nearest look-ups have no gradient at outlines: choose a filter with bilinear ones"
+        return "because nearest look-ups have no gradient at outlines: choose a filter with bilinear look-ups"
     if "meshes" in name:
-        return "since no pixel sees its shadow: it is outside the light's frustum, or its shadow is outside the image"
-    return "since no pixel sees a shadow's outline: the light's frustum contains nothing that the camera sees"
+        return "because no pixel sees its shadow: it is outside the light's frustum, or its shadow is outside the image"
+    return "because no pixel sees a shadow's outline: the light's frustum contains nothing that the camera sees"
 
 
 def _is_obeyed(config: Config, name: str) -> bool:

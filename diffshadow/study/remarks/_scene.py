@@ -92,7 +92,7 @@ class Framed(NamedTuple):
     is_around: bool
 
     def words(self, scene: Scene) -> tuple[str, str]:
-        """The part of a mesh that lies outside the picture, and how to mend it."""
+        """The part of a mesh outside the picture, and how to fix it."""
         mesh, camera = scene.meshes[self.number], scene.camera
         low, high = np.asarray(mesh.bounds, np.float64)
         extent = " × ".join(f"{side:.3g}" for side in high - low)
@@ -131,10 +131,10 @@ def dark_scene(
     elif framed is not None:
         cause, mend = framed.words(lit[0])
     else:
-        cause, mend = "all of it is turned away from the light, or in shadow", "move the light, or the camera"
+        cause, mend = "all of it faces away from the light, or is in shadow", "move the light, or the camera"
     lights = "no light" if len(lit) == 1 else "none of its lights"
     return (
-        f"{lights} reaches what the camera sees, so that there is nothing to compare: {cause}; expected surfaces in "
+        f"{lights} reaches the camera's view, so there is nothing to compare: {cause}; expected surfaces in "
         f"light and in shadow; {mend}"
     )
 

@@ -137,7 +137,7 @@ def _unexplained(found: Unexplained) -> str:
     says = f"the fit does not explain its image{'s' if len(found.keys) > 1 else ''}"
     if found.rmse >= found.constant:
         return (
-            f"{says}: its RMSE is {found.rmse:.4f}, and a constant image in place of the fitted one would have "
+            f"{says}: its RMSE is {found.rmse:.4f}, and a constant image instead of the fitted one would have "
             f"{found.constant:.4f}"
         )
     which = "its reference" if len(found.keys) == 1 else f"the reference of {found.keys[0]}"
@@ -156,7 +156,7 @@ def _remedies(config: Config | None, found: Unexplained, starts: int, *, moves: 
         yield f"try more starts, {more}, or other initial values: the fit may have ended in a local minimum"
     if found.keys and found.given:
         what = "check that it was made with this camera, this light and these meshes"
-        yield f"the reference does not fit if it is flipped or inverted either: {what}"
+        yield f"flipping or inverting the reference does not help either: {what}"
         fits_lights = config is None or any(name.startswith("scene.light") for name in config.fit.parameters)
         if config is not None and not fits_lights and (pose := _pose_of_light(config)):
             yield f"if the light is unknown, fit it as well: add {pose} to fit.parameters, with {more}"
