@@ -263,7 +263,7 @@ def test_normalized_integers_are_fractions(tmp_path):
 
 FAULTS = {
     "no JSON": ("{", "is neither JSON nor GLB"),
-    "a list": ("[]", "a JSON value that is no object"),
+    "a list": ("[]", "a JSON value that is not an object"),
     "something else": ('{"a": 1}', "it has neither object nor asset"),
     "a lone geometry": ('{"metadata": {"type": "BufferGeometry"}}', "its metadata.type is 'BufferGeometry'"),
     "an old format": ('{"metadata": {"version": 3}, "object": {}}', "is of three.js' format 3"),
@@ -345,7 +345,7 @@ def test_an_odd_mesh_is_left_out_and_named_with_its_fault(tmp_path):
     for remark, fault in zip(
         said, ("has a BufferGeometry with no", "has a Tube", "is damaged: its mesh", "is damaged"), strict=True
     ):
-        assert f"since the file {fault}" in remark
+        assert f"because the file {fault}" in remark
 
 
 HALF = {"itemSize": 3, "type": "Uint16Array"}
@@ -472,7 +472,7 @@ def test_a_hidden_camera_serves_where_there_is_no_other(tmp_path):
     content["nodes"][1]["extensions"] = HIDDEN
     scene = read_scene(as_file(tmp_path, content))
     assert len(scene.cameras) == 1
-    assert "camera: hidden by KHR_node_visibility; taken all the same, since there is no other camera" in scene.remarks
+    assert "camera: hidden by KHR_node_visibility; used anyway, because there is no other camera" in scene.remarks
 
 
 def test_extensions_and_animations_that_are_not_obeyed_are_named(tmp_path):

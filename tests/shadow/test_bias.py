@@ -478,5 +478,5 @@ def test_the_bias_for_a_filter_is_that_of_a_configuration():
     little = shadow.bias_for(shadow.VarianceShadowMap(2.0))
     expected = rules.FILTER_RULES["vsm, radius 2.5"].bias[:2]
     assert (float(little.constant.value), float(little.slope.value)) == pytest.approx(expected)
-    with pytest.raises(ValueError, match="whose radius is traced"):
+    with pytest.raises(ValueError, match="with a traced radius"):
         jax.jit(lambda radius: shadow.bias_for(shadow.RandomDisk(radius)).slope.value)(2.0)

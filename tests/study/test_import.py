@@ -232,7 +232,7 @@ def test_an_error_comes_after_the_notes_and_counts_what_was_left_out(tmp_path, c
         main(["import", str(path), "--output", str(tmp_path / "made")])
     out, error = capsys.readouterr()
     assert "note: flat: left out, because the file" in " ".join(out.split())
-    assert "(4 without castShadow, and 1 left out); expected one: mend what is left out, as the notes say" in error
+    assert "(4 without castShadow, and 1 left out); expected one: fix the omitted parts as in the notes" in error
 
 
 def test_a_scene_beyond_the_limits_gets_the_same_message_twice_and_leaves_nothing(tmp_path, capsys):

@@ -141,7 +141,7 @@ def test_a_scene_that_one_of_its_lights_reaches_can_be_compared(tmp_path):
     assert darkness(tmp_path, f"scene.lights=[{below}, {above}]", "scene.light=null") is None
     said = darkness(tmp_path, f"scene.lights=[{below}, {below}]", "scene.light=null")
     assert said is not None
-    assert said.startswith("none of its lights reaches what the camera sees")
+    assert said.startswith("none of its lights reaches the camera's view")
 
 
 def test_what_a_mesh_file_holds_beside_triangles_is_left_out_with_a_remark(tmp_path):
