@@ -472,7 +472,7 @@ def test_open_caster_is_refused_where_back_faces_cast_for_it():
         build_scene(parse_config(CASTING.format(box="true"), source="file.yaml"))
     assert str(caught.value).startswith(
         "file.yaml:3: scene.meshes.0: is an open mesh that casts shadows, while shadow_map.cull is front; expected "
-        "closed meshes, since only back faces cast: set casts: false if it only receives"
+        "closed meshes, because only back faces cast: set casts: false if it only receives"
     )
     volumes = parse_config(CASTING.format(box="true"), ["technique.type=shadow_volumes"])
     assert build_scene(volumes).receivers is None

@@ -335,7 +335,7 @@ def test_an_odd_mesh_is_left_out_and_named_with_its_fault(tmp_path):
     scene = read_scene(stored(tmp_path, odd[0], MESH, *odd[1:], geometries=[BOX, empty, tube, bare]))
     assert [mesh.name for mesh in scene.meshes] == ["box"]
     assert "bare: it has no triangles; left out" in scene.remarks
-    said = [remark for remark in scene.remarks if "left out, since" in remark]
+    said = [remark for remark in scene.remarks if "left out, because" in remark]
     assert [remark.partition(": left out, because the file ")[0] for remark in said] == [
         "label",
         "pipe 0, pipe 1, pipe 2, pipe 3 and 2 others",
