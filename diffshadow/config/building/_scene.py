@@ -234,7 +234,7 @@ def _depth_range(depth: Float[HostArray, " n"], *, perspective: bool) -> tuple[f
     if perspective and high <= 0:
         raise ValueError(
             f"the whole scene is behind the camera (its depth is {low:.4g} to {high:.4g} world units); "
-            "expected some of it in front: change the camera's eye or target"
+            "expected a part of it in front: change the camera's eye or target"
         )
     # A scene seen edge-on also needs a depth range.
     margin = max(_MARGIN * (high - low), _MIN_NEAR * max(abs(low), abs(high)))

@@ -55,7 +55,7 @@ def _mark_at(path: KeyPath) -> InputFile | None:
 def resolve_files(data: Any, origin: Origin, folder: Path) -> list[Mistake]:
     """Makes the paths of input files in `data` absolute.
 
-    **Returns** a mistake for each file that does not exist. Files of views are looked for when the view is checked.
+    **Returns** a mistake for each file that does not exist. Files of views are checked together with their view.
     """
     mistakes = []
     for path, holder, given in [*files_in(data)]:

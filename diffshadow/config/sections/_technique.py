@@ -309,7 +309,7 @@ class EngineConfig(AnyTechniqueConfig, engines.Engine):
 
 
 class ThreeJsConfig(EngineConfig, engines.ThreeJs):
-    """The shadows of three.js r187, by the names, units and defaults of light.shadow and renderer.shadowMap."""
+    """The shadows of three.js r187, with the names, units and defaults of light.shadow and renderer.shadowMap."""
 
     of_meshes = ("side", "shadow_side")
 
@@ -323,28 +323,28 @@ class ThreeJsConfig(EngineConfig, engines.ThreeJs):
 
 
 class BabylonJsConfig(EngineConfig, engines.BabylonJs):
-    """The shadows of Babylon.js 9.34 (WebGL2), by the names, units and defaults of its ShadowGenerator. The map must be
-    square."""
+    """The shadows of Babylon.js 9.34 (WebGL2), with the names, units and defaults of its ShadowGenerator. The map must
+    be square."""
 
     of_meshes = ("back_face_culling",)
 
 
 class PlayCanvasConfig(EngineConfig, engines.PlayCanvas):
-    """The shadows of PlayCanvas 2.23 (WebGL2, without clustered lighting), by the names, units and defaults of its
+    """The shadows of PlayCanvas 2.23 (WebGL2, without clustered lighting), with the names, units and defaults of its
     LightComponent. The map must be square."""
 
     of_meshes = ("side",)
 
 
 class BevyConfig(EngineConfig, engines.Bevy):
-    """The shadows of Bevy 0.19 under directional and spot lights, by the names, units and defaults of its lights. The
+    """The shadows of Bevy 0.19 under directional and spot lights, with the names, units and defaults of its lights. The
     map must be square."""
 
     of_meshes = ("side",)
 
 
 class GodotCompatibilityConfig(EngineConfig, engines.GodotCompatibility):
-    """The shadows of Godot 4.6 in its Compatibility renderer, by the names, units and defaults of its lights. The map
+    """The shadows of Godot 4.6 in its Compatibility renderer, with the names, units and defaults of its lights. The map
     must be square."""
 
     of_meshes = ("side",)

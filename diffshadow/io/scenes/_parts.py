@@ -69,7 +69,7 @@ class SceneCamera(NamedTuple):
 
 
 class SceneShadow(NamedTuple):
-    """The settings of a light's shadow, by the names, units and defaults of three.js.
+    """The settings of a light's shadow, with the names, units and defaults of three.js.
 
     - `near`, `far`: distances of its camera's planes; `window`: left, right, top and bottom of a directional light's
         camera.

@@ -47,13 +47,13 @@ class NormalOffset(AbstractBias):
         moved = receiver.normal * (texels * receiver.texel_size)[..., None]
         if self.profile != "across":
             return BiasTerms(jnp.zeros_like(texels), moved)
-        # The part towards the light is taken back.
+        # Removes the part towards the light.
         return BiasTerms(-texels * jnp.clip(receiver.cosine, 0, 1) * receiver.depth_per_texel, moved)
 
     def shader(self, prefix: str = "") -> ShaderBias:
         about = f"along the normal, times the profile {self.profile}, in texels"
         constant = Constant(f"{prefix}NORMAL_OFFSET", number(self.value), about)
         length = f"SHADOW_{constant.name} * ({FEATURES[_FEATURE_OF[self.profile]].shader})"
-        # The part towards the light is taken back.
+        # Removes the part towards the light.
         back = f"-({length}) * clamp(at.cosine, 0.0, 1.0) * at.depth_per_texel"
         return ShaderBias(ShaderPart((constant,), ""), (back,) if self.profile == "across" else (), (length,))

@@ -62,7 +62,7 @@ class ExponentialVarianceShadowMap(AbstractPrefiltered):
             jnp.minimum(jnp.log(moment) - power * exponent * receiver, _MAX_LOG_MOMENT)
         )
         mean, square = relative(mean, 1), relative(square, 2)
-        # The derivative of e^(c w) by z, with w = 2z - 1, is 2c e^(c w).
+        # The derivative of e^(c w) with respect to z, where w = 2z - 1, is 2c e^(c w).
         least = 4 * exponent * exponent * self.least_variance
         variance = jnp.maximum(square - mean * mean, least)
         sign = jnp.sign(exponent)

@@ -366,7 +366,7 @@ class PictureView(View[records.PictureRecord]):
     @property
     def summary(self) -> list[str]:
         colours = "sRGB" if self.record.encoding == "srgb" else "linear"
-        over = f"Errors are of {colours} colours, over {counted(self.record.metrics.pixels, 'pixel')}."
+        over = f"Errors compare {colours} colours over {counted(self.record.metrics.pixels, 'pixel')}."
         return [*super().summary, over]
 
     @property
