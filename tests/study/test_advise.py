@@ -308,7 +308,7 @@ def test_a_bias_far_above_the_usual_is_explained(bias, bounds, said, asking):
     assert asking in found
     # A usual one that is as good is to be taken.
     (free,) = large_biases(parse_config(text, low, fitting=True), 1.0)
-    assert free.endswith("as good within the reference's noise of 1.0000, so take 3 texels.")
+    assert free.endswith("as good within the reference's noise of 1.0000, so use 3 texels.")
     small = text.replace("12.1", "3.5").replace("normal_offset: 9", "normal_offset: 4")
     assert list(large_biases(parse_config(small, low, fitting=True), 0.0)) == []
 
@@ -417,7 +417,7 @@ def test_verdict_says_what_a_constant_bias_loses_to_have_as_little_acne():
     assert "slope has 0.20 %, in the same time." in lossy
     none = say(LeastBias(value=30.0, false_shadow=0.012, false_light=0.05))
     assert (
-        "No constant bias within its bounds removes acne to the 0.10 % of slope: the least, 1.2 %, is at 30 texels"
+        "No constant bias within its bounds removes acne to the 0.10 % of slope: the lowest, 1.2 %, is at 30 texels"
         in none
     )
     free = say(LeastBias(value=2.5, false_shadow=0.001, false_light=0.00205))
