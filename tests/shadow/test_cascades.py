@@ -556,7 +556,10 @@ def test_factors_scale_the_bias_of_each_cascade(grid_map):
             lambda: mapping(Cascades(margin=1.0)),
             "margin is 1 texels, .* read up to 3.5 texels .*: raise margin",
         ),
-        (lambda: mapping(Cascades(margin=8.0), PercentageCloserSoft(max_radius=16.0)), "is 8 texels, .* read up to 16.5"),
+        (
+            lambda: mapping(Cascades(margin=8.0), PercentageCloserSoft(max_radius=16.0)),
+            "is 8 texels, .* read up to 16.5",
+        ),
         (
             lambda: ShadowMapping(
                 Nearest(), Bias(normal_offset=3.0, factors=(1.0, 2.0)), layout=Cascades(2, margin=5.0)
