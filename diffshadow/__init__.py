@@ -2,21 +2,22 @@
 
 Its subpackages, each with its public names on one page:
 
-- `geometry`: meshes, cameras, lights. `raster`: which face each pixel sees. `shadow`: maps, biases, compares, filters.
-- `shading`: lit images. `fit`: settings by gradient. `reference`: traced truth. `metrics`: errors of shadows.
-- `io`: mesh and image files. `config`: YAML configurations. `study`: runs that leave a folder.
+- `geometry`: meshes, cameras, lights. `raster`: visible faces. `shadow`: maps, biases, compares, filters.
+- `shading`: lit images. `fit`: gradient fits of settings. `reference`: ray-traced references. `metrics`: errors of
+  shadows.
+- `io`: mesh and image files. `config`: YAML configurations. `study`: runs that write a folder.
 
-A subpackage is loaded, and JAX with it, on first use. Importing the package changes nothing global. `setup()`, called
-before JAX makes its first array, sets the process up for fast work. It calls these functions, which can also be called
+A subpackage loads on first use, together with JAX. Importing the package changes no global state. `setup()` prepares
+the process for fast work. Call it before JAX makes its first array. It calls these functions, which can also be called
 alone:
 
 - `use_all_cores()` lets XLA run loops on all cores.
 - `keep_freed_memory()` reuses freed memory for large arrays.
-- `limit_programs()` drops compiled programs in a long process before they are too many.
+- `limit_programs()` drops compiled programs in a long process before there are too many.
 - `collect_rarely()` runs Python's garbage collector less often.
 - `io.keep_compiled_programs()` keeps compiled programs for the next process.
 
-`view(scene)` shows a scene in a page, on which settings can be dragged.
+`view(scene)` shows a scene in a page where you can drag its settings.
 
 !!! Example
 
@@ -45,7 +46,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if sys.version_info < (3, 12):  # noqa: UP036
-    # Before any module that an older Python cannot read. An installer refuses these, but a copied folder does not ask.
+    # Checked before the import of modules that an older Python cannot parse. Installers check the version, but a copied
+    # folder has no installer.
     raise ImportError(
         f"diffshadow needs Python 3.12 or newer, and this is {sys.version.split()[0]}; "
         "make an environment with a newer one, such as: python3.12 -m venv .venv"
@@ -90,7 +92,7 @@ def __getattr__(name: str) -> Any:
     if name == "view":
         return import_module(".viewer", __name__).view
     if name == "__version__":
-        # Takes ten times as long to load as all the rest.
+        # Takes ten times as long to load as everything else.
         from importlib.metadata import version
 
         return version("diffshadow")

@@ -1,15 +1,15 @@
-"""`python -m diffshadow` is the command `diffshadow`."""
+"""`python -m diffshadow` runs the command `diffshadow`."""
 
 import sys
 from typing import NoReturn
 
 
 def main() -> NoReturn:
-    """Runs the command with the process's arguments, and exits as `diffshadow.cli.main` says."""
+    """Runs the command with the process's arguments, and exits with the code of `diffshadow.cli.main`."""
     try:
         from .cli import main as run
     except KeyboardInterrupt:
-        # Importing takes long enough for Ctrl-C to come before there is anything else to catch it.
+        # The import takes long enough for Ctrl-C to arrive before any other handler exists.
         print("error: interrupted", file=sys.stderr)
         sys.exit(130)
     run()

@@ -1,4 +1,4 @@
-"""Arithmetic on arrays: conversions, guarded roots and quotients, look-ups, and values with other derivatives."""
+"""Arithmetic on arrays: conversions, safe roots and quotients, look-ups, and values with custom derivatives."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -22,7 +22,7 @@ def as_float(x: Any) -> Array:
 
 
 def as_number(x: Any) -> Any:
-    """Like `as_float`; anything that is not a number stays as it is, so that a check can name it."""
+    """Like `as_float`, but returns non-numbers unchanged, so that a check can name them."""
     if x is None or isinstance(x, str):
         return x
     try:
@@ -32,7 +32,7 @@ def as_number(x: Any) -> Any:
 
 
 def as_numbers(xs: Any) -> Any:
-    """A sequence of numbers as a tuple; anything that is not a sequence stays as it is."""
+    """A sequence of numbers as a tuple. Other values are returned unchanged."""
     # NumPy cannot read a sequence of traced numbers.
     return tuple(map(as_number, xs)) if isinstance(xs, Sequence) or np.ndim(xs) else xs
 
@@ -48,25 +48,25 @@ def as_int(x: Any) -> Array:
 
 
 def as_array(x: Any) -> Array:
-    """`x` as an array of its own type."""
-    # `jnp.asarray` compiles a program for each shape of an array in NumPy.
+    """`x` as an array with the dtype of `x`."""
+    # `jnp.asarray` compiles a program for each shape of a NumPy array.
     return x if isinstance(x, jax.Array) else jax.device_put(np.asarray(x))
 
 
 def _as(x: Any, dtype: Any) -> Array:
     if isinstance(x, jax.Array) and x.dtype == dtype and not x.weak_type:
         return x
-    # NumPy converts without compiling a program for the shape.
+    # NumPy converts without compiling a program for each shape.
     number = np.ndarray | np.generic | jax.Array | float | int
     known = lambda part: isinstance(part, number) and not isinstance(part, Tracer)
     on_host = known(x) or (isinstance(x, list | tuple) and all(map(known, x)))
-    # Numbers beyond the range become infinite, as elsewhere in JAX.
+    # Numbers out of range become infinite, as elsewhere in JAX.
     with np.errstate(over="ignore"):
         return jnp.asarray(np.asarray(x, dtype) if on_host else x, dtype=dtype)
 
 
 def concrete(x: Any) -> np.ndarray | None:
-    """`x` as a NumPy array, or `None` where it is traced, in whole or in part, and has no value yet."""
+    """`x` as a NumPy array, or `None` if any part of it is traced and has no value yet."""
     return None if is_traced(x) else np.asarray(x)
 
 
@@ -76,13 +76,13 @@ def is_traced(tree: Any) -> bool:
 
 
 def array_module(*arrays: Any) -> Any:
-    """`jax.numpy` if one of the `arrays` is traced; else NumPy, which compiles nothing for their shapes."""
+    """`jax.numpy` if one of the `arrays` is traced. Otherwise NumPy, which compiles nothing."""
     return jnp if is_traced(arrays) else np
 
 
 def dot(a: Float[Array, "*n d"], b: Float[Array, "*m d"]) -> Float[Array, "..."]:
     """Dot product over the last axis."""
-    # Written out: XLA fuses sums with what is round them, but no reductions.
+    # Written out, because XLA fuses sums with surrounding operations, but not reductions.
     return sum(a[..., i] * b[..., i] for i in range(1, a.shape[-1])) + a[..., 0] * b[..., 0]
 
 
@@ -92,13 +92,13 @@ def safe_norm(x: Float[Array, "*n d"]) -> Float[Array, "*n"]:
 
 
 def safe_divide(a: Float[Array, "*#n"], b: Float[Array, "*#n"], otherwise: float = 0.0) -> Float[Array, "..."]:
-    """`a / b`, and `otherwise` where `b` is 0; no NaN in value or gradient."""
+    """`a / b`, or `otherwise` where `b` is 0, without NaN in value or gradient."""
     zero = b == 0
     return jnp.where(zero, otherwise, a / jnp.where(zero, 1, b))
 
 
 def safe_sqrt(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """The square root, and 0 for negative numbers; no NaN in value or gradient."""
+    """The square root, or 0 for negative numbers, without NaN in value or gradient."""
     positive = x > 0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, 1)), 0)
 
@@ -115,7 +115,7 @@ def take(values: Array, index: Int[Array, "*n"]) -> Array:
 
 
 def take_last(values: Array, index: Int[Array, "*n"]) -> Array:
-    """`values[..., index]`, as `take` does it along the first axis."""
+    """`values[..., index]`. Like `take`, but along the last axis."""
     return values.at[..., index].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
@@ -142,16 +142,15 @@ _RUN = 32
 
 
 def take_in_runs(values: Array, index: Int[Array, "*n"]) -> Array:
-    """`take` for non-negative indices with many equal neighbours. Its transpose first adds up each run of equal
-    indices.
+    """`take` for non-negative indices with many equal neighbours. Its transpose first adds up runs of equal indices.
 
-    In each run of 32 indices, the transpose first adds up the gradients of all indices that equal the first one. That
-    saves additions to one place, which a GPU does one after another.
+    In each run of 32 indices, the transpose first adds up the gradients of all indices that equal the first one. This
+    saves additions to one address, which a GPU does one after another.
     """
     runs = jnp.pad(index.reshape(-1), (0, -index.size % _RUN)).reshape(-1, _RUN)
     first = runs[:, :1]
     is_first = runs == first
-    # Where the first's element is read, the index is out of bounds here: nothing is added there.
+    # If the index equals the run's first one, it is replaced by an index out of bounds, where nothing is added.
     others = jnp.where(is_first, values.shape[0], runs)
     own = values.at[others].get(mode="fill", fill_value=0, wrap_negative_indices=False)
     found = jnp.where(jnp.expand_dims(is_first, range(2, own.ndim)), take(values, first), own)
@@ -160,15 +159,15 @@ def take_in_runs(values: Array, index: Int[Array, "*n"]) -> Array:
 
 @jax.jit
 def components(vectors: Float[Array, "*n c"]) -> tuple[Float[Array, "*n"], ...]:
-    """The coordinates x, y and so on of vectors, each as an array."""
+    """The coordinates x, y and so on of vectors, as separate arrays."""
     return tuple(vectors[..., k] for k in range(vectors.shape[-1]))
 
 
 def sums_along(values: Float[Array, "..."], weights: Sequence[float] | Float[Array, " k"], axis: int) -> Array:
-    """The sums of k neighbours along an axis, weighted by `weights` (k,). The axis gets k - 1 shorter.
+    """The sums of k neighbours along an axis, weighted by `weights` (k,). The axis becomes k - 1 shorter.
 
-    Written out, they run in one pass over memory. A running total of equal weights would be no faster below 60 or so,
-    and loses digits to cancellation that variances cannot spare; a convolution is many times slower on a CPU.
+    The sum is written out and reads memory once. A running total of equal weights would be no faster below k = 60, and
+    it loses digits to cancellation that variances need. A convolution is many times slower on a CPU.
     """
     count = len(weights)
     size = values.shape[axis] - count + 1
@@ -177,20 +176,20 @@ def sums_along(values: Float[Array, "..."], weights: Sequence[float] | Float[Arr
 
 
 def at_most(x: Float[Array, "*n"], bound: Float[Array, "*#n"] | float | None) -> Float[Array, "*n"]:
-    """`min(x, bound)`; none for no bound. At `x == bound` it has the derivative of `x`."""
+    """`min(x, bound)`, or `x` if the bound is `None`. At `x == bound`, it has the derivative of `x`."""
     return x if bound is None else jnp.where(x > bound, bound, x)
 
 
 def at_least(x: Float[Array, "*n"], bound: Float[Array, "*#n"] | float | None) -> Float[Array, "*n"]:
-    """`max(x, bound)`; none for no bound. At `x == bound` it has the derivative of `x`."""
+    """`max(x, bound)`, or `x` if the bound is `None`. At `x == bound`, it has the derivative of `x`."""
     return x if bound is None else jnp.where(x < bound, bound, x)
 
 
 @custom_vmap
 def for_any(condition: Bool[Array, ""]) -> Bool[Array, ""]:
-    """`condition`; under `jax.vmap`, whether it holds for any of the batch.
+    """`condition`. Under `jax.vmap`, whether it is true for any element of the batch.
 
-    For a branch of `lax.cond` that changes nothing where the condition does not hold. With a separate condition for
+    Use it for a branch of `lax.cond` that changes nothing where the condition is false. With a separate condition for
     each element of the batch, JAX would take both branches for all elements, and it has no reverse mode for a branch
     that reads tangents.
     """
@@ -210,10 +209,10 @@ def with_gradient_of(smooth: Float[Array, "*n"], value: Float[Array, "*n"]) -> F
 
 @with_gradient_of.defjvp
 def _with_gradient_of_jvp(primals, tangents):
-    # The value once more with its derivative, for derivatives of derivatives.
+    # The value again, with its derivative, for higher derivatives.
     return with_gradient_of(*primals), tangents[0]
 
 
 def in_unit_range(mean: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """`mean` clipped to [0, 1], with its own derivative: rounding can carry a mean of such values out of the range."""
+    """`mean` clipped to [0, 1], with its own derivative. Rounding can move a mean of such values out of this range."""
     return with_gradient_of(mean, jnp.clip(jax.lax.stop_gradient(mean), 0, 1))

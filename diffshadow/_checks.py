@@ -1,4 +1,4 @@
-"""Checks of values that users give."""
+"""Checks of user input."""
 
 import dataclasses
 import difflib
@@ -15,17 +15,17 @@ from ._arithmetic import concrete, is_traced
 from .settings import Limits, LongerThan, Setting, Settings
 
 _MAX_SHOWN = 16
-# Whose values are shown; others, such as keys of random numbers, have none.
+# Types whose values are shown. Others, such as random keys, have no readable value.
 _NUMBERS = tuple(np.dtype(kind) for kind in ("bool", "int32", "int64", "uint32", "float32", "float64"))
 
 
 class CheckedModule(eqx.Module):
-    """A module whose fields are checked as it is made.
+    """A module that checks its fields when it is created.
 
-    - `settings`: what describes them. Their ranges are added to the module's docstring.
-    - `part`: the module's path in what these settings describe, if the module is only a part of it.
+    - `settings`: the settings that describe the fields. Their ranges are added to the module's docstring.
+    - `part`: the path of the module within these settings, if the module is only a part of a larger one.
 
-    **Raises** what `check_settings` raises.
+    **Raises** the errors of `check_settings`.
     """
 
     settings: ClassVar[type[Settings]] = Settings
@@ -57,17 +57,17 @@ def shown_with_values(module: eqx.Module) -> str:
 def _as_shown(leaf: Any) -> Any:
     if not isinstance(leaf, jax.Array | np.ndarray | np.generic) or leaf.ndim or leaf.dtype not in _NUMBERS:
         return leaf
-    # Memory that a program was given has no value any more.
+    # Donated buffers have no value any more.
     if isinstance(leaf, Tracer) or (isinstance(leaf, jax.Array) and leaf.is_deleted()):
         return leaf
-    # Without the digits that single precision does not have.
+    # Without digits beyond single precision.
     return float(f"{leaf:.7g}") if leaf.dtype == np.float32 else leaf.item()
 
 
 def check_settings(module: Any, part: str = "") -> None:
     """Checks the fields of `module` that its `settings` describe.
 
-    **Raises** `ValueError` that names the first field that is known and not allowed.
+    **Raises** `ValueError` for the first field with a known and invalid value.
     """
     settings, units = module.settings, module.settings.units(module)
     fields = _fields(settings, part)
@@ -79,18 +79,18 @@ def check_settings(module: Any, part: str = "") -> None:
 
 
 def _fields(settings: type[Settings], part: str) -> dict[str, tuple[str, Setting]]:
-    """The field of each setting, by its key, in a module that stands at `part`."""
+    """The field of each setting, by its key, for a module at `part`."""
     paths = {key: [path.rpartition(".") for path in each.paths(key)] for key, each in settings.each().items()}
     of = lambda key: next((field for holder, _, field in paths[key] if holder == part), None)
     return {key: (field, setting) for key, setting in settings.each().items() if (field := of(key)) is not None}
 
 
 def check_order(module: Any, low: str, high: str, equal: bool = False) -> None:
-    """**Raises** `ValueError` unless field `low` is less than `high`, or `equal` to it, where both are known."""
+    """**Raises** `ValueError` unless field `low` is less than `high`, or `equal` to it, if both are known."""
     a, b = (None if (value := getattr(module, name, None)) is None else concrete(value) for name in (low, high))
     if a is None or b is None:
         return
-    # Rounded alike: one may be an array of single precision, and the other a number.
+    # Rounded to the same precision: one may be a single-precision array, and the other a number.
     first, second = (number.astype(min(a.dtype, b.dtype)) for number in (a, b))
     if not (first <= second if equal else first < second):
         relation = "at most" if equal else "below"
@@ -98,9 +98,9 @@ def check_order(module: Any, low: str, high: str, equal: bool = False) -> None:
 
 
 def check_arguments(settings: type[Settings], **values: Any) -> None:
-    """Checks arguments of a function, by the keys of `settings`.
+    """Checks arguments of a function by the keys of `settings`.
 
-    **Raises** `ValueError` that names the first argument that is not allowed.
+    **Raises** `ValueError` for the first invalid argument.
     """
     for key, value in values.items():
         check_value((*settings.each()[key].paths(key), key)[0], value, settings.each()[key])
@@ -111,10 +111,10 @@ def check_value(name: str, value: Any, setting: Setting | Any, unit: str | None 
 
     **Arguments:**
 
-    - `setting`: what is allowed, or its type with marks.
+    - `setting`: the setting that describes the value, or its type with marks.
     - `unit`: replaces the setting's own unit.
 
-    **Raises** `ValueError` if it is not allowed.
+    **Raises** `ValueError` for an invalid value.
     """
     setting = setting if isinstance(setting, Setting) else Setting.of(setting)
     unit = setting.unit if unit is None else unit
@@ -133,7 +133,7 @@ def check_value(name: str, value: Any, setting: Setting | Any, unit: str | None 
 
 
 def _entries(setting: Setting, value: Any) -> tuple[Any, ...] | None:
-    """The entries of a list that is known, if one is allowed."""
+    """The entries of a known list, if lists are valid here."""
     if get_origin(setting.kind) is not tuple:
         return None
     if isinstance(value, tuple | list):
@@ -152,7 +152,7 @@ def _has_length(setting: Setting, entries: tuple[Any, ...]) -> bool:
 
 
 def _allows(setting: Setting, value: Any) -> bool:
-    """Whether `value` is allowed, or traced."""
+    """Whether `value` is valid or traced."""
     if value is None:
         return setting.optional
     if setting.alternatives:
@@ -175,7 +175,7 @@ def _allows(setting: Setting, value: Any) -> bool:
 def _is_within(number: np.ndarray, limits: Limits) -> bool:
     if not (np.issubdtype(number.dtype, np.number) and np.isrealobj(number) and np.isfinite(number)):
         return False
-    # Limits are rounded as the number is.
+    # Limits are rounded like the number.
     kind = number.dtype if np.issubdtype(number.dtype, np.floating) else None
     low, high = (None if end is None else np.asarray(end, kind).item() for end in (limits.low, limits.high))
     limits = Limits(low, high, limits.above_low, limits.below_high)
@@ -194,20 +194,20 @@ def _shown(value: Any) -> str:
 
 
 def check_instance(name: str, value: Any, kind: type | UnionType, example: str) -> None:
-    """**Raises** `TypeError` unless `value` is a `kind`; `example` names one in the message."""
+    """**Raises** `TypeError` unless `value` is a `kind`. The message gives `example`."""
     if not isinstance(value, kind):
         given = f"the class {value.__name__}" if isinstance(value, type) else f"of type {type(value).__name__}"
         raise TypeError(f"{name} is {given}; expected {example}")
 
 
 def check_outside_trace(name: str, expected: str, remedy: str, given: Any) -> None:
-    """**Raises** `ValueError` if an array in `given` is traced; `name` is the function that it was given to."""
+    """**Raises** `ValueError` if an array in `given` is traced. `name` is the function that received it."""
     if is_traced(given):
         raise ValueError(f"{name} was called inside jax.jit (or grad, or vmap); expected {expected}: {remedy}")
 
 
 def check_points(name: str, points: Any) -> None:
-    """**Raises** `ValueError` unless `points` is (n, 3), with one point or more."""
+    """**Raises** `ValueError` unless `points` is (n, 3) with at least one point."""
     if hasattr(points, "vertices"):
         raise ValueError(f"{name} are of type {type(points).__name__}; expected an array (n, 3): give its vertices")
     shape = np.shape(points)
@@ -216,26 +216,26 @@ def check_points(name: str, points: Any) -> None:
 
 
 def as_tuple(value: Any) -> Any:
-    """A list becomes a tuple, which can be part of a compiled program; any other value stays as it is."""
+    """A list becomes a tuple, which can be a static part of a compiled program. Other values are returned unchanged."""
     return tuple(value) if isinstance(value, list) else value
 
 
 def text_within(value: float, lower: float, upper: float, digits: int = 4) -> str:
-    """The value of a parameter with these bounds, to the given number of digits, and to more digits if it is far from 0
-    and its bounds are close to each other."""
+    """The value of a parameter with these bounds, to the given number of digits. It gets more digits if it is far from
+    0 and its bounds are close to each other."""
     beyond = abs(value) / (100 * (upper - lower))
     return f"{value:.{digits + (math.ceil(math.log10(beyond)) if beyond > 1 else 0)}g}"
 
 
 def listed(values: Any) -> str:
-    """`values` as text, without the digits that single precision does not have."""
+    """`values` as text, without digits beyond single precision."""
     return str([float(f"{value:.7g}") for value in np.ravel(values)])
 
 
 def check_again(tree: Any) -> None:
-    """Repeats the checks of their fields that the modules in `tree` made when they were built.
+    """Repeats the checks of fields for all modules in `tree`.
 
-    This is for modules whose fields were replaced, since replacing checks nothing. **Raises** what the checks raise.
+    For modules whose fields were replaced, because a replacement is not checked. **Raises** the errors of the checks.
     """
     if isinstance(tree, eqx.Module):
         for own in type(tree).__mro__:

@@ -1,4 +1,4 @@
-"""A line that shows how far long work is, in a terminal or a notebook."""
+"""A progress line for long work, in a terminal or a notebook."""
 
 import html
 import os
@@ -10,17 +10,17 @@ from contextlib import contextmanager
 
 from ._progress import Update
 
-# Seconds between updates in a notebook. Each update is a message.
+# Seconds between updates in a notebook, where each update is a message.
 _PAUSE = 0.1
-# One line at a time: work inside of other work is not shown.
+# One line at a time: nested work is not shown.
 _BUSY = threading.Lock()
 
 
 @contextmanager
 def display(name: str) -> Iterator[Update | None]:
-    """Shows one line that is updated, and that vanishes at the end. It goes to stderr, or below the notebook's cell.
+    """Shows one line that is updated, and removed at the end. It goes to stderr, or below the notebook's cell.
 
-    Nothing is shown in tests, and where stderr is neither a terminal nor a notebook's.
+    Nothing is shown in tests, or if stderr is neither a terminal nor a notebook.
     """
     show = _in_notebook if _is_notebook() else _in_terminal if _is_terminal() else None
     if show is None or not _BUSY.acquire(blocking=False):
@@ -34,7 +34,7 @@ def display(name: str) -> Iterator[Update | None]:
 
 
 def _is_notebook() -> bool:
-    # Asked by name, so that nothing here loads IPython.
+    # Checked by name, so that IPython is not loaded.
     shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
     return type(shell).__name__ == "ZMQInteractiveShell"
 
@@ -45,7 +45,7 @@ def _is_terminal() -> bool:
 
 @contextmanager
 def _in_terminal(name: str) -> Iterator[Update]:
-    # Here, since it takes a while to load, and most processes show nothing.
+    # Imported here, because it is slow to load and most processes show nothing.
     from rich.console import Console
     from rich.markup import escape
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -65,7 +65,7 @@ def _in_terminal(name: str) -> Iterator[Update]:
         total = None if fraction is None else 1.0
         bar.update(task, detail=escape(detail), total=total, completed=fraction or 0.0)
 
-    # Its end, also by Ctrl-C, removes the line and shows the cursor again.
+    # The exit, also by Ctrl-C, removes the line and shows the cursor again.
     with bar:
         yield update
 

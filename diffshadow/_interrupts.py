@@ -1,4 +1,4 @@
-"""Ctrl-C while native code runs: it is neither lost nor turned into another error."""
+"""Ctrl-C during native code. It must not be lost or become another error."""
 
 import contextlib
 import signal
@@ -13,8 +13,8 @@ _INTERRUPT_INTERVAL = 0.2
 
 @contextlib.contextmanager
 def reported_interrupts() -> Iterator[None]:
-    """Raises `KeyboardInterrupt` in place of the error that JAX makes from an interrupt in a callback. Only the text of
-    this error names the interrupt."""
+    """Raises `KeyboardInterrupt` instead of the error that JAX makes from an interrupt in a callback. Only the text of
+    this error mentions the interrupt."""
     try:
         yield
     except RuntimeError as error:
@@ -27,10 +27,10 @@ def reported_interrupts() -> Iterator[None]:
 def repeated_interrupts() -> Iterator[None]:
     """Repeats the `KeyboardInterrupt` of Ctrl-C until it has an effect.
 
-    Python raises it wherever the main thread happens to be. A callback of the garbage collector drops it with a
-    message. Native code that calls Python, such as Pydantic's, may drop it silently.
+    Python raises it at the current position of the main thread. A callback of the garbage collector drops it with a
+    message. Native code that calls Python, such as Pydantic, may drop it silently.
 
-    A shell starts the background jobs of a script with Ctrl-C ignored. Ctrl-C stays ignored then, as in other programs;
+    A shell starts the background jobs of a script with Ctrl-C ignored. It then stays ignored, as in other programs.
     SIGTERM ends these jobs.
     """
     if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
@@ -39,7 +39,7 @@ def repeated_interrupts() -> Iterator[None]:
 
     def interrupt(*_: Any) -> None:
         signal.setitimer(signal.ITIMER_REAL, _INTERRUPT_INTERVAL)
-        # Do not interrupt the handling of the first one.
+        # The handling of the first interrupt must not be interrupted.
         error = sys.exception()
         while error is not None:
             if isinstance(error, KeyboardInterrupt):

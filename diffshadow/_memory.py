@@ -1,4 +1,4 @@
-"""How Python and the C library manage memory."""
+"""Memory management of Python and the C library."""
 
 import atexit
 import contextlib
@@ -10,11 +10,11 @@ from pathlib import Path
 # Parameters of glibc's mallopt(3).
 _M_TRIM_THRESHOLD, _M_TOP_PAD, _M_MMAP_MAX = -1, -2, -4
 _MOST = 2**31 - 1
-# The size of a heap of any thread but the main one. An empty heap goes back to the system only if the padding fits into
-# the heap before it. Padding of this size never does.
+# The size of a heap of any thread except the main one. An empty heap is returned to the system only if the padding fits
+# into the heap before it. Padding of this size never fits.
 _HEAP = 64 << 20
 
-# Of `gc.set_threshold`; Python 3.12 begins with (700, 10, 10).
+# For `gc.set_threshold`; the default of Python 3.12 is (700, 10, 10).
 _RARELY = (200_000, 20, 100)
 
 _MAPPINGS = Path("/proc/self/maps")
@@ -23,11 +23,11 @@ _MAX_MAPPINGS = 25_000
 
 
 def keep_freed_memory() -> None:
-    """Makes glibc keep freed memory for the next arrays; does nothing under other C libraries.
+    """Makes glibc keep freed memory for the next arrays. Does nothing with other C libraries.
 
-    Otherwise arrays of more than 32 MiB come from fresh pages each time. The kernel clears these pages one by one, so
-    drawing images of 2048 x 2048 pixels takes up to 1.5 times as long. The process's memory then stays at its peak. The
-    command `diffshadow` calls this itself.
+    Otherwise, arrays of more than 32 MiB come from fresh pages each time. The kernel clears these pages one by one, so
+    drawing images of 2048 x 2048 pixels takes up to 1.5 times as long. With this call, the process's memory stays at
+    its peak. The command `diffshadow` calls this itself.
     """
     if sys.platform != "linux":
         return
@@ -39,10 +39,10 @@ def keep_freed_memory() -> None:
 
 
 def give_back_freed_memory() -> None:
-    """Gives the system what glibc keeps of freed memory; does nothing under other C libraries.
+    """Returns freed memory that glibc keeps to the system. Does nothing with other C libraries.
 
-    Threads have heaps of their own, whose freed parts lie between others. A process whose threads make arrays in turns
-    otherwise grows for hours.
+    Each thread has its own heap, whose freed parts are fragmented. If several threads make arrays in turn, the process
+    would otherwise grow for hours.
     """
     if sys.platform == "linux":
         with contextlib.suppress(OSError, AttributeError):
@@ -52,7 +52,7 @@ def give_back_freed_memory() -> None:
 def collect_rarely() -> None:
     """Makes Python's garbage collector run less often.
 
-    Imports and traces make millions of objects that stay. Otherwise the collector searches all of these objects
+    Imports and traces make millions of objects that stay. By default, the collector searches all of these objects
     repeatedly, which takes a sixth of the time of imports and traces. The memory of arrays is freed without the
     collector. At the end of the process, the collector does not run, which saves a second after a fit. The command
     `diffshadow` calls this itself.
@@ -65,9 +65,9 @@ def limit_programs() -> None:
     """Drops all compiled programs if they take much of the memory mappings that Linux allows a process.
 
     A fit with images of a new size compiles programs that take some 700 mappings and 28 MB. After a hundred sizes, LLVM
-    is out of mappings, and the process ends with a segmentation fault. Programs that are used again after a call load
-    from the disk if they are kept there. `fit.fit`, `fit.train` and sweeps call this themselves. Call it in a loop of
-    your own that draws images or maps of ever new sizes. It does nothing where the system has no `/proc`.
+    is out of mappings, and the process ends with a segmentation fault. After a call, programs that are stored on disk
+    are loaded again when they are needed. `fit.fit`, `fit.train` and sweeps call this themselves. Call it in your own
+    loop if the loop draws images or maps of many different sizes. It does nothing on systems without `/proc`.
     """
     if _MAPPINGS.exists() and _MAPPINGS.read_bytes().count(b"\n") > _MAX_MAPPINGS:
         import jax

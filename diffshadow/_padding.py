@@ -1,4 +1,4 @@
-"""Sizes that arrays are padded to, so that inputs of like size share compiled programs."""
+"""Sizes for padded arrays, so that inputs of similar size share compiled programs."""
 
 from functools import partial
 from typing import Any
@@ -11,11 +11,11 @@ from ._device import is_on_gpu
 
 
 def round_up_to_power_of_two(n: int) -> int:
-    """The least power of two that is at least `n`; 0 stays 0."""
+    """The smallest power of two that is at least `n`; 0 stays 0."""
     return 0 if n <= 0 else 1 << (n - 1).bit_length()
 
 
-# Sizes that small arrays are padded to.
+# Sizes for small padded arrays.
 _SMALL_SIZES = (256, 4096, 16384)
 
 
@@ -29,7 +29,7 @@ def shared_size(n: int) -> int:
 
 
 def shared_mesh_size(faces: int, vertices: int) -> tuple[int, int]:
-    """The padded numbers of faces and vertices of a mesh: one size for both where the vertices fit."""
+    """The padded numbers of faces and vertices of a mesh. They have one common size if the vertices fit."""
     size = shared_size(faces)
     return size, size if vertices <= size else shared_size(vertices)
 

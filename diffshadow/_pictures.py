@@ -81,9 +81,9 @@ def draw_faces(
     colours: Float[HostArray, "f 3"],
     resolution: tuple[int, int],
 ) -> Float[HostArray, "h w 3"] | None:
-    """An image of flat faces on white; none if drawing would take long.
+    """An image of flat faces on white. `None` if drawing would take long.
 
-    A pixel p = (x, y, 1) lies in a face if the weights c = M⁻¹ p of its corners are all positive, with the corners'
+    A pixel p = (x, y, 1) is in a face if the weights c = M⁻¹ p of its corners are all positive, with the corners'
     (x, y, w) as the columns of M. This needs no clipping (Olano & Greer 1997, "Triangle scan conversion using 2D
     homogeneous coordinates").
     """

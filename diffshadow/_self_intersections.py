@@ -1,4 +1,4 @@
-"""Where a surface intersects itself. Fits of shapes mend it, and metrics count it."""
+"""Self-intersections of a surface. Fits of shapes remove them, and metrics count them."""
 
 from typing import Any
 
@@ -8,12 +8,12 @@ from scipy.spatial import KDTree
 
 from ._types import HostArray
 
-# Faces of a greater radius than this multiple of the median are looked at one by one.
+# Faces whose radius exceeds this multiple of the median are tested one by one.
 _LARGE = 3.0
 
 
 def intersecting_faces(vertices: Float[HostArray, "v 3"], faces: Int[HostArray, "f 3"]) -> Int[HostArray, "n 2"]:
-    """Pairs of faces that share no vertex, where an edge of one face passes through the other, (n, 2)."""
+    """Pairs of faces without a common vertex where an edge of one face passes through the other, (n, 2)."""
     corners = np.asarray(vertices, np.float64)[faces]
     pairs = _near(corners)
     low, high = corners.min(axis=1), corners.max(axis=1)
@@ -27,7 +27,7 @@ def intersecting_faces(vertices: Float[HostArray, "v 3"], faces: Int[HostArray, 
 
 
 def _near(corners: Float[HostArray, "f 3 3"]) -> Int[HostArray, "n 2"]:
-    """Pairs of triangles whose bounding balls meet, each once, the smaller number first."""
+    """Pairs of triangles whose bounding balls intersect. Each pair occurs once, with the smaller index first."""
     middle = corners.mean(axis=1)
     radius = np.linalg.norm(corners - middle[:, None], axis=-1).max(axis=1)
     is_large = radius > _LARGE * np.median(radius) if len(radius) else np.zeros(0, bool)

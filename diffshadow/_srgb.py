@@ -1,4 +1,4 @@
-"""The encoding of colours in common image files: sRGB (IEC 61966-2-1)."""
+"""The colour encoding of common image files: sRGB (IEC 61966-2-1)."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ from ._arithmetic import array_module
 def to_srgb(linear: Any) -> Any:
     """The transfer function of sRGB, from linear colours in [0, 1] to the same range, of any shape.
 
-    In NumPy, or in JAX if `linear` is traced.
+    Uses NumPy, or JAX if `linear` is traced.
     """
     xp = array_module(linear)
     is_dark = linear <= 0.0031308

@@ -33,45 +33,46 @@ Resolution = tuple[int, int]
 """(height, width), in pixels of an image or texels of a shadow map."""
 
 Viewport = tuple[int | Int[Array, ""], int | Int[Array, ""]]
-"""A resolution that may be known only when a program runs."""
+"""A resolution whose value may be known only at run time."""
 
 HostArray = ndarray
-"""An array in the host's memory, where files and Embree want it."""
+"""An array in the host's memory, for files and Embree."""
 
-# Only mypy takes this for true.
+# Only mypy evaluates this as true.
 MYPY = False
 if MYPY:
-    # A field with a converter takes more than it holds. Pyright knows converters. To mypy, such fields are descriptors.
+    # A field with a converter accepts more types than it stores. Pyright understands converters. Mypy needs
+    # descriptors.
     class AsScalar:
-        """A field that holds a scalar, and takes any number."""
+        """A field that stores a scalar and accepts any number."""
 
         def __get__(self, instance: Any, owner: Any) -> Scalar: ...
 
         def __set__(self, instance: Any, value: ArrayLike) -> None: ...
 
     class AsOptional:
-        """A field that holds a scalar or none, and takes any number or none."""
+        """A field that stores a scalar or `None` and accepts any number or `None`."""
 
         def __get__(self, instance: Any, owner: Any) -> Scalar | None: ...
 
         def __set__(self, instance: Any, value: ArrayLike | None) -> None: ...
 
     class AsVector:
-        """A field that holds a vector, and takes any sequence of numbers."""
+        """A field that stores a vector and accepts any sequence of numbers."""
 
         def __get__(self, instance: Any, owner: Any) -> Array: ...
 
         def __set__(self, instance: Any, value: ArrayLike | Sequence[float | Scalar]) -> None: ...
 
     class AsScalars:
-        """A field that holds scalars, and takes any numbers."""
+        """A field that stores scalars and accepts any numbers."""
 
         def __get__(self, instance: Any, owner: Any) -> tuple[Scalar, ...]: ...
 
         def __set__(self, instance: Any, value: Sequence[float | Scalar]) -> None: ...
 
     class AsOptionalScalars:
-        """A field that holds scalars or none, and takes any numbers or none."""
+        """A field that stores scalars or `None` and accepts any numbers or `None`."""
 
         def __get__(self, instance: Any, owner: Any) -> tuple[Scalar, ...] | None: ...
 
@@ -79,7 +80,7 @@ if MYPY:
 
     AsVec2 = AsVec3 = AsVector
 else:
-    # As explicit aliases, which pyright takes rather than the classes.
+    # Explicit aliases, because pyright prefers them to the classes.
     AsScalar: TypeAlias = Scalar  # noqa: UP040
     AsOptional: TypeAlias = Scalar | None  # noqa: UP040  # pyright: ignore[reportOperatorIssue]
     AsVec2: TypeAlias = Vec2  # noqa: UP040

@@ -1,11 +1,11 @@
-"""Numbers of things in words. Nothing is imported, since the command line names mistakes before it loads JAX."""
+"""Counts in words. This module imports nothing, because the command line reports mistakes before it loads JAX."""
 
-# What follows a noun begins with one of these.
+# Text after a noun begins with one of these.
 _AFTER = (" of ", " that ", " without ")
 
 
 def plural(noun: str) -> str:
-    """The plural of a regular noun; text after the noun, such as " of 3 kinds", stays."""
+    """The plural of a regular noun. Text after the noun, such as " of 3 kinds", does not change."""
     end = min((noun.index(word) for word in _AFTER if word in noun), default=len(noun))
     first, rest = noun[:end], noun[end:]
     if first.endswith("y") and first[-2:-1] not in "aeiou":

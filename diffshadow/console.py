@@ -1,4 +1,4 @@
-"""The console that the command and the experiments print to, and the commands that it prints."""
+"""The console of the command and the experiments, and the commands that they suggest."""
 
 import re
 import shlex
@@ -17,7 +17,7 @@ from .config import BUILTIN, printable
 
 WIDTH_OF_FILES = 200
 """In characters."""
-# Spaces and a line beside each cell of a table.
+# The spaces and the line around each cell of a table.
 _BESIDE_CELL = 3
 # Longer words without a digit may be broken.
 _BROKEN = 16
@@ -32,7 +32,7 @@ class Console(rich.console.Console):
 
     **Arguments:**
 
-    - `names_stages`: whether a run prints a line for each of its stages here; a terminal shows a bar instead.
+    - `names_stages`: whether a run prints a line for each of its stages. In a terminal, a bar replaces these lines.
     """
 
     def __init__(self, *, width: int | None = None, names_stages: bool = False, **options: Any):
@@ -42,37 +42,37 @@ class Console(rich.console.Console):
             self.width = WIDTH_OF_FILES
 
     def render(self, *args: Any, **kwargs: Any) -> Iterator[Segment]:
-        """Like `rich.console.Console.render`, with the text of every segment made printable."""
+        """Like `rich.console.Console.render`, with unprintable characters of every segment escaped."""
         for segment in super().render(*args, **kwargs):
             plain = "\n".join(map(printable, segment.text.split("\n")))
             yield segment if segment.control else segment._replace(text=plain)
 
 
 def print_table(console: rich.console.Console, table: Table) -> None:
-    """Prints a table, and cuts no number and no word, however narrow the console is.
+    """Prints a table without cutting numbers or words, even on a narrow console.
 
-    If the table is too wide, text continues in further lines of its cells, and spaces beside cells are left out. If the
-    table is still too wide, each row is a block, with a line for each cell.
+    If the table is too wide, cells wrap and spaces between them are left out. If it is still too wide, each row becomes
+    a block with a line for each cell.
     """
     columns, between = table.columns, _BESIDE_CELL * len(table.columns) + 1
     whole = [max(map(cell_len, _cells(column))) for column in columns]
     least = [max(map(_least_width, _cells(column))) for column in columns]
     if sum(least) + between > console.width:
-        # Without the spaces beside its cells.
+        # Without the spaces around its cells.
         table.padding, between = 0, len(columns) + 1
     if sum(least) + between > console.width:
         _print_stacked(console, table)
         return
     left = max(console.width - between - sum(least), 0)
     for column, width, most in sorted(zip(columns, least, whole, strict=True), key=lambda each: each[2] - each[1]):
-        # The narrowest have all that they ask for.
+        # The narrowest columns get their full width.
         given = min(most - width, left)
         column.width, column.no_wrap, column.overflow, left = width + given, False, "fold", left - given
     console.print(table)
 
 
 def _print_stacked(console: rich.console.Console, table: Table) -> None:
-    """Prints each row of a table as a block, which its first cell heads."""
+    """Prints each row of a table as a block under its first cell."""
     if table.title:
         console.print(Text(_plain(table.title), "italic"), soft_wrap=True)
     heads = [_plain(column.header) for column in table.columns]
@@ -85,7 +85,7 @@ def _print_stacked(console: rich.console.Console, table: Table) -> None:
 
 
 def print_folded(console: rich.console.Console, text: str, *, indent: int = 0, style: str = "") -> None:
-    """Prints `text` in lines that are as wide as the console, broken between words, behind `indent` spaces."""
+    """Prints `text` in lines as wide as the console, broken between words and indented by `indent` spaces."""
     width = max(console.width - indent, 1)
     for line in textwrap.wrap(text, width, break_long_words=False, break_on_hyphens=False):
         console.print(Text(" " * indent + line, style), soft_wrap=True)
@@ -101,8 +101,8 @@ def _plain(cell: Any) -> str:
 
 
 def _least_width(cell: str) -> int:
-    """Of the longest word. A number and what stands beside it are one word, and a long word without a digit, such as a
-    path, may be broken."""
+    """The width of the longest word. A number and the text next to it are one word. A long word without a digit, such
+    as a path, may be broken."""
     if _NUMBER.match(cell):
         return cell_len(cell)
     has_digit = lambda word: any(map(str.isdigit, word))
@@ -114,8 +114,8 @@ def _least_width(cell: str) -> int:
 class Command(NamedTuple):
     """A command to copy.
 
-    - `why`: what it does, in a sentence.
-    - `words`: what follows the program's name. A path is given as a `Path`, and any other word as text.
+    - `why`: a sentence about its effect.
+    - `words`: the words after the program's name. A path is a `Path`, and any other word is text.
     """
 
     why: str
@@ -137,7 +137,7 @@ class Command(NamedTuple):
 
 
 def source(given: Path) -> Path | str:
-    """A configuration as a word of a command; `builtin:NAME` is not a path."""
+    """A configuration as a word of a command. `builtin:NAME` is not a path."""
     return str(given) if str(given).startswith(BUILTIN) else given
 
 
@@ -147,18 +147,18 @@ def to_view(given: Path | str, overrides: Sequence[str] = ()) -> Command:
 
 
 def print_next(console: rich.console.Console, commands: Sequence[Command]) -> None:
-    """Prints what to do next. If one path is absolute, all are."""
+    """Prints the next commands. If one path is absolute, all are."""
     if not commands:
         return
     if any(each.is_absolute for each in commands):
         commands = [each.anywhere() for each in commands]
-    console.print(Text("what to do next:", "bold"))
+    console.print(Text("next steps:", "bold"))
     for each in commands:
-        # In one line each, so that they can be copied.
+        # One line each, so that they can be copied.
         console.print(Text(printable(f"  {each.text}")), soft_wrap=True)
         console.print(Text(printable(f"    {each.why}"), "dim"), soft_wrap=True)
 
 
 def _word(word: Path | str) -> str:
-    # A path with a dash in front would be read as an option.
+    # A path that begins with a dash would be read as an option.
     return f"./{word}" if isinstance(word, Path) and str(word).startswith("-") else str(word)

@@ -1,6 +1,6 @@
 """Configurations: strict YAML files, and the modules built from them.
 
-`load_config` does not need JAX. The `build_…` functions do, and import it when they are first accessed.
+`load_config` does not need JAX. The `build_…` functions need it, and import it on first access.
 """
 
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""Errors of a configuration, worded for its author."""
+"""Errors of a configuration, in words for its author."""
 
 import difflib
 from collections.abc import Iterable, Mapping, Sequence
@@ -13,7 +13,8 @@ _LONGEST_SHOWN = 60
 
 @dataclass(frozen=True)
 class Location:
-    """Where something was written: `source` is a file or an override; lines and columns are counted from 1."""
+    """The place where something was written. `source` is a file or an override. Lines and columns are counted from
+    1."""
 
     source: str
     line: int | None = None
@@ -25,7 +26,7 @@ class Location:
 
 @dataclass(eq=False)
 class Origin:
-    """Where the keys of a configuration were written, and `notes` on parts that the program chose.
+    """The places of the keys of a configuration, and `notes` on parts that the program chose.
 
     All origins compare equal, so that two configurations with the same content are equal.
     """
@@ -35,7 +36,7 @@ class Origin:
     notes: tuple[str, ...] = ()
 
     def place(self, path: KeyPath) -> Location:
-        """Where `path` was written; if it was not written, where its nearest enclosing section was."""
+        """The place of `path`, or of its nearest enclosing section if it was not written."""
         for length in range(len(path), -1, -1):
             if path[:length] in self.places:
                 return self.places[path[:length]]
@@ -53,8 +54,8 @@ class Mistake:
     """One error of a configuration.
 
     - `place`: where it was written.
-    - `key`: the dotted key it concerns; empty if it concerns none.
-    - `message`: what was given; what was expected; how to mend it.
+    - `key`: the dotted key; empty if the error concerns no key.
+    - `message`: the given value, the expected value, and the remedy.
     """
 
     place: Location
@@ -62,12 +63,12 @@ class Mistake:
     message: str
 
     def __str__(self) -> str:
-        # Escaped to stay on one line, whatever it quotes.
+        # Escaped so that it stays on one line.
         return ": ".join(printable(part) for part in (str(self.place), self.key, self.message) if part)
 
 
 class ConfigError(ValueError):
-    """A configuration that cannot be used; `mistakes` lists everything that is wrong with it, in reading order."""
+    """An invalid configuration. `mistakes` lists all errors in reading order."""
 
     mistakes: tuple[Mistake, ...]
 
@@ -79,12 +80,12 @@ class ConfigError(ValueError):
 
 
 def dotted(path: Sequence[str | int]) -> str:
-    """`path` as it is written in an override: `scene.meshes.0.path`. An empty key shows as two quotes."""
+    """`path` as in an override, such as `scene.meshes.0.path`. An empty key is shown as two quotes."""
     return ".".join(str(step) or "''" for step in path)
 
 
 def printable(text: str) -> str:
-    """`text` on one line, with Python's escapes for characters that Unicode does not count as printable.
+    """`text` on one line. Characters that Unicode does not count as printable are written as Python's escapes.
 
     These are control characters, line breaks, direction marks and lone surrogates.
     """
@@ -103,7 +104,7 @@ def show(value: Any) -> str:
         case dict():
             text = f"a section with the keys {', '.join(map(str, value))}" if value else "an empty section {}"
         case list() | tuple():
-            # There are never more entries shown than characters.
+            # The number of entries shown never exceeds the number of characters.
             text = f"[{', '.join(show(item) for item in value[:_LONGEST_SHOWN])}]"
         case str():
             text = repr(value)
@@ -114,7 +115,7 @@ def show(value: Any) -> str:
 
 
 def plain(number: float) -> str:
-    """`number` as people write it: 5 rather than 5.0."""
+    """`number` in its usual notation: 5 rather than 5.0."""
     return str(number).removesuffix(".0")
 
 
@@ -125,13 +126,13 @@ def listing(choices: Iterable[Any]) -> str:
 
 
 def nearest(word: Any, choices: Iterable[str]) -> str | None:
-    """The entry of `choices` that `word` may be a misspelling of, or `None`."""
+    """The likely correct spelling of `word` among `choices`, or `None`."""
     by_lower_case = {choice.lower(): choice for choice in choices}
     found = difflib.get_close_matches(str(word).lower(), list(by_lower_case), n=1, cutoff=0.6)
     return by_lower_case[found[0]] if found else None
 
 
 def did_you_mean(word: Any, choices: Iterable[str], otherwise: str) -> str:
-    """A question that suggests the nearest of `choices`; `otherwise` if none is near."""
+    """A question that suggests the most similar of `choices`, or `otherwise` if none is similar."""
     suggestion = nearest(word, choices)
     return otherwise if suggestion is None else f"did you mean {suggestion!r}?"

@@ -1,14 +1,14 @@
-"""Fitting shadow-mapping settings, lights and casters to a reference by gradient.
+"""Gradient fits of shadow-mapping settings, lights and casters to a reference.
 
 `fit` is this package, and `fit.fit` its function: after `from diffshadow import fit`, call `fit.fit(problem, ...)`.
 
 There are two ways to fit:
 
-- `fit.fit` finds up to some tens of numbers that have names and bounds, such as `bias.constant`, `filter.radius` or
-  `lights.0.azimuth`, and says how sure they are. Its problems are a `TechniqueProblem` (the map stays) or a
-  `PoseProblem` (lights or meshes move), one or several. `study.save_fit` writes its result with a report.
-- `fit.train` finds all numbers in a part of a technique, such as the weights of a network, which have no names, from
-  any number of views.
+- `fit.fit` finds up to some tens of named numbers with bounds, such as `bias.constant`, `filter.radius` or
+  `lights.0.azimuth`, and their uncertainty. It takes one or several problems: `TechniqueProblem` (the map does not
+  change) or `PoseProblem` (lights or meshes move). `study.save_fit` writes its result with a report.
+- `fit.train` finds all numbers in a part of a technique, such as the weights of a network, from any number of views.
+  These numbers need no names.
 """
 
 from ._anneal import Anneal

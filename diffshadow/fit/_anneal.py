@@ -1,4 +1,4 @@
-"""How the soft compare of a fit hardens."""
+"""The annealing of a fit's soft compare."""
 
 import dataclasses
 from typing import ClassVar
@@ -12,11 +12,8 @@ from ..settings.maps import SoftKernel
 
 @dataclasses.dataclass(frozen=True)
 class Anneal:
-    """How the soft compare hardens: `phases` widths from `start` to `end` texels, in geometric steps.
-
-    A single phase has the width `end`.
-
-    **Raises** `ValueError` for a value that is not allowed, or `end` above `start`.
+    """The widths of the soft compare: `phases` widths from `start` to `end` texels, in geometric steps. A single phase
+    has the width `end`. **Raises** `ValueError` for an invalid value, or for `end` above `start`.
 
     !!! Example
 
@@ -38,5 +35,5 @@ class Anneal:
     @property
     def widths(self) -> list[float]:
         """The width of each phase, in texels."""
-        # Downwards from the end, so that a single width is the end's.
+        # From the end downwards, so that a single width is the end.
         return [float(w) for w in np.geomspace(self.end, self.start, self.phases)[::-1]]

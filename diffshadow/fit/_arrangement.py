@@ -1,4 +1,5 @@
-"""What a fit of poses may change: a technique's numbers, lights and meshes; in fits to pictures, camera and colours."""
+"""The objects that a fit of poses may change: a technique's numbers, lights and meshes. Fits to pictures add the camera
+and colours."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -17,11 +18,11 @@ from ..shadow import ShadowMapping
 class MeshPose(eqx.Module):
     """A mesh's position and rotation relative to its own coordinates.
 
-    - `translate`: its translation, world units.
-    - `turn`: a rotation vector about the middle of its bounding box, in degrees: its direction is the axis, its length
-        the angle.
-    - `vertices`: positions of single vertices before translation and rotation, world units, by their index as text.
-        Vertices at the same position move together, and shading normals follow them.
+    - `translate`: its translation, in world units.
+    - `turn`: a rotation vector about the centre of its bounding box, in degrees. Its direction is the axis, and its
+      length is the angle.
+    - `vertices`: positions of single vertices before translation and rotation, in world units, by their index as text.
+      Vertices at the same position move together, and shading normals follow them.
     - `home`: (3,), the value of `translate` at which the mesh is not translated.
     - `smoothing`: the faces over which shading normals are smooth at these vertices; `None` without such vertices.
     - `albedo`: the colour of all its faces; `None` to keep its colours.
@@ -48,9 +49,9 @@ class MeshPose(eqx.Module):
 
         **Arguments:**
 
-        - `vertices`: indices of the vertices that can be moved one by one.
-        - `home`: the value of `translate` for the mesh at its current place.
-        - `coloured`: whether its colour can be fitted, in a fit to a picture. A mesh of several colours keeps them.
+        - `vertices`: indices of the vertices that can be moved individually.
+        - `home`: the value of `translate` for the mesh at its current position.
+        - `coloured`: whether its colour can be fitted, in a fit to a picture. A mesh with several colours keeps them.
 
         **Raises** `ValueError` for a vertex that the mesh does not have.
         """
@@ -79,7 +80,7 @@ class MeshPose(eqx.Module):
         normals = mesh.corner_normals if self.smoothing is None else self.smoothing.corner_normals(mesh, vertices)
         middle = mesh.bounds.mean(axis=0)
         bend = rotation_less_one(jnp.deg2rad(self.turn.array))
-        # Added to what is there, so that a mesh at rest keeps its vertices to the last digit.
+        # Offsets are added, so that a mesh at rest keeps its vertices to the last digit.
         turned = vertices + jnp.matmul(vertices - middle, bend.T, precision="highest")
         normals = normals + jnp.matmul(normals, bend.T, precision="highest")
         moved = (turned + (self.translate.array - self.home), normals)
@@ -90,13 +91,13 @@ class MeshPose(eqx.Module):
 
 
 class Arrangement(eqx.Module):
-    """All that a fit of poses may change: paths such as `lights.0.azimuth` lead to its numbers.
+    """Everything that a fit of poses may change. Paths such as `lights.0.azimuth` lead to its numbers.
 
     - `technique`: the shadow mapping.
     - `lights`: the pose of each light.
     - `meshes`: the pose of each mesh.
-    - `camera`, `shading`, `exposure`: for a fit to a picture, the camera's pose, the shading, and by how many stops the
-        picture is brightened; `None` in other fits.
+    - `camera`, `shading`, `exposure`: for a fit to a picture, the camera's pose, the shading, and the brightening of
+      the picture in stops; `None` in other fits.
     """
 
     technique: ShadowMapping
@@ -122,21 +123,21 @@ class Arrangement(eqx.Module):
         shading: AbstractShading,
         exposure: float,
     ) -> "Arrangement":
-        """Everything that a picture of `scene` depends on, with the scene's values. Meshes of one colour have an
+        """Everything that a picture of `scene` depends on, with the scene's values. Meshes with a single colour have an
         `albedo`."""
         meshes = [MeshPose.of(mesh, coloured=True) for mesh in scene.meshes]
         return cls.of(technique, scene.lights, meshes).pictured(scene, shading, exposure)
 
     def pictured(self, scene: Scene, shading: AbstractShading, exposure: float) -> "Arrangement":
-        """The same arrangement, with the values that only pictures of `scene` need: the camera's pose, the `shading`,
-        and the `exposure` in stops."""
+        """This arrangement, with the additional values of pictures of `scene`: the camera's pose, the `shading`, and
+        the `exposure` in stops."""
         return dataclasses.replace(self, camera=scene.camera.pose(), shading=shading, exposure=as_float(exposure))
 
     def placed(self, scene: Scene) -> Scene:
         """`scene` with the lights, meshes and camera of the arrangement.
 
-        Lights that can be refitted have the frustum of their shadow map fitted to the meshes. `io.write_gltf` writes
-        such a scene for other programs.
+        The frustums of shadow maps are fitted to the meshes if the light allows it. `io.write_gltf` writes such a scene
+        for other programs.
         """
         meshes = [pose.placed(mesh) for pose, mesh in zip(self.meshes, scene.meshes, strict=True)]
         points = jnp.concatenate([mesh.vertices for mesh in meshes])
@@ -146,5 +147,5 @@ class Arrangement(eqx.Module):
 
 
 def is_of_technique(path: str) -> bool:
-    """Whether the number that `path` leads to belongs to the technique."""
+    """Whether the number at `path` belongs to the technique."""
     return path.startswith("technique.")

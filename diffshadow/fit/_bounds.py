@@ -7,20 +7,20 @@ from ._parameters import Parameter
 from ._profile import Bound
 from ._run import Run, Values
 
-# A value is on a bound if it is within this part of the bounds' distance from it.
+# A value is on a bound if its distance is at most this fraction of the distance between the bounds.
 _ON_BOUND = 1e-3
-# The slope at a bound is the slope of a parabola through the losses there and at one and two of these parts further
-# inside.
+# The slope at a bound is the slope of a parabola through three losses: at the bound, and at one and two of these
+# fractions inside.
 _STEP = 0.05
-# The loss falls if the slope lowers it by more than this fraction over a step: bounds that are twice as far apart would
-# then lower the error by a hundredth or more. Noise and rounding lower it by less.
+# The loss falls if the slope lowers it by more than this fraction per step. Bounds twice as far apart would then lower
+# the error by a hundredth or more. Noise and rounding lower it by less.
 _FALLS = 1e-3
 
 
 class AtBound(NamedTuple):
     """A value that ended on a bound.
 
-    - `name`: name of the parameter; `side`: which of its bounds; `value`: value of the bound.
+    - `name`: name of the parameter; `side`: its lower or upper bound; `value`: value of the bound.
     - `falls`: whether the error under the hard compare still falls there, so that wider bounds may lower it.
     """
 
@@ -31,10 +31,10 @@ class AtBound(NamedTuple):
 
 
 def at_bounds(run: Run, parameters: Sequence[Parameter], values: Values) -> list[AtBound]:
-    """The parameters whose values lie on a bound. The error is evaluated at the bound and further inside, for each
-    parameter.
+    """The parameters whose values are on a bound. The error of each parameter is evaluated at the bound and farther
+    inside.
 
-    **Arguments:** `values`: counted from the parameters' offsets.
+    **Arguments:** `values`: relative to the parameters' offsets.
     """
     found = []
     for i, (parameter, value) in enumerate(zip(parameters, values, strict=True)):

@@ -1,4 +1,4 @@
-"""Fitting to a reference."""
+"""Fits to a reference."""
 
 import dataclasses
 import time
@@ -42,23 +42,23 @@ class FitResult:
     - `phases`: the result of each phase; `chosen`: the phase that ended best under the hard compare, -1 if the start
         was best. If losses differ by less than the solver's `noise`, the last phase is chosen.
     - `history`: every evaluation, in order.
-    - `flat`: names of the parameters that were not fitted: they kept their start, where the loss has no slope.
+    - `flat`: names of the parameters that were not fitted. They kept their start, because the loss has no slope there.
     - `seconds_compiling`, `seconds_running`: times of the whole fit.
-    - `arrangement`: the fitted technique, lights and meshes, where lights or meshes were fitted.
-    - `precision`: how well the values are determined; `None` if the start was best, or for a loss of your own.
-    - `starts`: how each of several starts went; `phases` and `initial` belong to the best.
-    - `enlargements`: how often a phase was repeated with memory for more silhouettes.
+    - `arrangement`: the fitted technique, lights and meshes, if lights or meshes were fitted.
+    - `precision`: the precision of the values; `None` if the start was best, or with your own loss.
+    - `starts`: the course of each of several starts; `phases` and `initial` belong to the best start.
+    - `enlargements`: the number of times that a phase was repeated with memory for more silhouettes.
     - `profiles`: the parameters' error profiles around the best values, if intervals were requested.
-    - `best`: the values with the least error, by name. They differ from `fitted` only if `Sureness.prefer` is given.
+    - `best`: the values with the lowest error, by name. They differ from `fitted` only if `Sureness.prefer` is given.
     - `front`: the front of false shadow against false light, if requested.
     - `at_bounds`: the fitted values that ended on a bound, and whether the error still falls there.
-    - `errors`: the square roots of the loss under the hard compare, at the start and at the best values; 0 if a loss of
-        your own is negative.
+    - `errors`: the square roots of the loss under the hard compare, at the start and at the best values; 0 if your own
+      loss is negative.
     - `problems`: the fitted problems, with the memory for silhouettes that the fit needed, and maps with the fitted
         layout.
     - `parameters`, `solver`, `search`, `sureness`: the arguments of the fit.
-    - `is_own_loss`: whether `errors` and the losses of `phases` and `history` come from a loss of your own instead of
-        mean square errors.
+    - `is_own_loss`: whether `errors` and the losses of `phases` and `history` come from your own loss instead of mean
+      square errors.
 
     `study.save_fit(result, folder)` writes the result with its images and a report, as `diffshadow fit` does.
     """
@@ -96,7 +96,7 @@ class FitResult:
             deviation = f"{deviations[name]:.2g}" if name in deviations else ""
             rows.append((name, f"{self.initial[name]:.4g}", f"{value:.4g}", deviation))
         rows.append(("error", *(f"{error:.4f}" for error in self.errors), ""))
-        # A sample of pixels is no image.
+        # A sample of pixels is not an image.
         references = (getattr(each, "reference", None) for each in self.problems)
         images = [image for image in references if image is not None and np.ndim(image) == 2]
         steps = f"{counted(self.steps, 'step')} in {counted(len(self.phases), 'phase')}"
@@ -121,13 +121,13 @@ def fit(
     on_step: Callable[[Step], None] | None = None,
     progress: Update | None = None,
 ) -> FitResult:
-    """Fits numbers of a technique, or of an arrangement, so that its visibility comes closest to the reference.
+    """Fits numbers of a technique, or of an arrangement, to bring its visibility as close as possible to the reference.
 
     Visibility has no useful derivative with respect to numbers that lay out the map, such as the spacing of cascades.
     If there are such numbers, a bounded search over all parameters comes before the fit by gradient.
 
-    The fit runs in phases (`_phases.py`). The hard compare at full resolution judges the start and the end of each, and
-    the best of these is the result: a fit never ends worse than it began.
+    The fit runs in phases (`_phases.py`). The hard compare at full resolution judges the start and the end of each
+    phase. The best of these is the result, so a fit never ends worse than it began.
 
     **Arguments:**
 
@@ -136,15 +136,15 @@ def fit(
     - `parameters`: the fitted numbers with their bounds.
     - `solver`: a `Solver`, or any least-squares solver or minimiser of optimistix, such as `optimistix.BFGS(1e-4,
         1e-6)`. Wrap it in `Solver(method=...)` for another number of steps.
-    - `anneal`: how the compare hardens. A fit of poses anneals in its last phases if it also fits a bias.
+    - `anneal`: the annealing of the compare. A fit of poses anneals in its last phases if it also fits a bias.
     - `loss`: a loss of the errors of several problems; by default the mean over all pixels. Or a function of three
         images (h, w), predicted, reference and mask (whether each pixel counts), that returns an array of residuals,
         whose squares are summed, or a number, 0 or more. It is called once for each image, and the loss is the mean
-        over all images. Where no pixel counts, the predicted image is the reference. Both images are blurred in the
-        phases of a fit of poses. A number needs a minimiser: `Solver("bfgs")`, which is then the default, `"lbfgs"`,
-        `"adam"`, or one of optimistix. An `equinox.Module` may hold arrays; those in a plain function's closure become
-        constants of its compiled program.
-    - `search`, `sureness`: where the fit searches, and which intervals and fronts around the best values it computes.
+        over all images. At pixels that do not count, the predicted image equals the reference. Both images are blurred
+        in the phases of a fit of poses. A number needs a minimiser: `Solver("bfgs")`, which is then the default,
+        `"lbfgs"`, `"adam"`, or one of optimistix. An `equinox.Module` may have arrays. Arrays in a plain function's
+        closure become constants of its compiled program.
+    - `search`, `sureness`: the region of the search, and the intervals and fronts to compute around the best values.
     - `on_step`: called with every evaluation of the loss, while the fit runs; also with evaluations of a phase that is
         then repeated with memory for more silhouettes. An error in `on_step` ends the fit, and `fit` raises this error.
     - `progress`: called with the current stage of the fit, as text, and with the finished fraction, or `None` if the
@@ -181,7 +181,7 @@ def fit(
     spread = starts_within(fitted, initial, search.starts, search.seed)
     joint = joint.each(lambda problem: problem.planned())
     if (devices := devices_of(search.devices, moves=joint.moves)) > 1:
-        # The program of a step puts a part on each device.
+        # The program of a step puts one part on each device.
         joint = dataclasses.replace(joint.each(on_host), devices=devices)
     phases = phases_of(joint, fitted.paths, anneal, search.blurs, search.pixels)
     with showing("fit", unless=on_step is not None or progress is not None) as shown:
@@ -199,10 +199,10 @@ def fit(
 
 
 def _found(run: Run, path: Trajectory, tried: list[Start], sureness: Sureness) -> dict[str, Any]:
-    """What a run found along its best path, and what it finds out about the values near the best: the fields of the
-    result.
+    """The findings of a run along its best path, and near its best values: the fields of the result.
 
-    Within a run, values are counted from the parameters' offsets. Here they leave it, as the reporter's steps do.
+    Within a run, values are relative to the parameters' offsets. Here the offsets are added, as in the reporter's
+    steps.
     """
     named = lambda values: dict(zip(run.names, run.with_offsets(values), strict=True))
     best = path.chosen(run.solver.noise or 0.0)
@@ -236,7 +236,7 @@ def _found(run: Run, path: Trajectory, tried: list[Start], sureness: Sureness) -
 
 
 def _chosen(run: Run, values: Values, sureness: Sureness) -> tuple[Values, Values, list[Profile]]:
-    """The preferred values, the values of the least error, and the profiles about the latter."""
+    """The preferred values, the values with the lowest error, and the profiles around the latter."""
     if not (sureness.within or sureness.prefer):
         return values, values, []
     profiler = Profiler(run, [p.counted() for p in run.given], values)
@@ -247,7 +247,7 @@ def _chosen(run: Run, values: Values, sureness: Sureness) -> tuple[Values, Value
 
 
 def _check_parameters(parameters: Any) -> None:
-    """**Raises** `TypeError` unless `parameters` is a list of these."""
+    """**Raises** `TypeError` unless `parameters` is a list of `Parameter`."""
     if not isinstance(parameters, Sequence):
         raise TypeError(f"the parameters are of type {type(parameters).__name__}; expected a list of fit.Parameter")
     for parameter in parameters:
@@ -257,7 +257,7 @@ def _check_parameters(parameters: Any) -> None:
 def check_loss(loss: LossFunction, solver: Solver, shape: tuple[int, int]) -> None:
     """Checks your own loss for images of this `shape`, (height, width), as `fit` does.
 
-    **Raises** `TypeError` unless it returns a valid loss; `ValueError` if it returns a number and the solver needs
+    **Raises** `TypeError` if it does not return a valid loss; `ValueError` if it returns a number and the solver needs
     residuals.
     """
     own = OwnLoss.of(loss, [shape])
@@ -274,7 +274,7 @@ def _check_solver(is_number: bool, solver: Solver) -> None:
 
 
 def _solver_for(joint: Joint, solver: Any) -> Solver:
-    """The solver for the loss of `joint`, whose default depends on it.
+    """The solver for the loss of `joint`. The default depends on the loss.
 
     **Raises** `ValueError` if it needs residuals, and the loss is a number.
     """

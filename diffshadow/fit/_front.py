@@ -1,4 +1,4 @@
-"""What is given up: the front of false shadow against false light."""
+"""The trade-off of a technique: the front of false shadow against false light."""
 
 import itertools
 from collections.abc import Sequence
@@ -14,16 +14,16 @@ from ._run import Run, Values
 from ._search import search
 from ._starts import starts_within
 
-# The ratio of the factors of false shadow and false light at one end of a front; at the other end, its inverse.
+# The ratio of the weights of false shadow and false light at one end of a front. At the other end, it is the inverse.
 _MAX_RATIO = 256.0
-# Settings over all of the bounds that are tried first, for each parameter. The corners are tried as well, if they are
-# of no more than so many parameters.
+# The number of settings over all of the bounds that are tried first, for each parameter. The corners are also tried for
+# at most this many parameters.
 _SPREAD, _MAX_CORNERS = 32, 4
-# The search about the best setting of each end: evaluations for each parameter, and the part of the bounds.
+# The search around the best setting of each end: evaluations for each parameter, and the fraction of the bounds.
 _EVALUATIONS, _PART = 15, 0.25
-# Fits that look for another setting between two neighbours, for each point of the front.
+# The maximum number of fits between two neighbours, for each point of the front.
 _FITS = 3
-# Settings are the same if neither error differs by more than this fraction of it.
+# Settings are the same if neither error differs by more than this fraction.
 _SAME = 5e-3
 
 Sides = tuple[float, float]
@@ -36,11 +36,11 @@ class FrontPoint(NamedTuple):
     - `values`: values of the parameters, (p,).
     - `false_shadow`, `false_light`: square roots of the losses of the pixels that are too dark, and of the pixels that
         are too light. For a mean over the pixels, the sum of their squares is the loss.
-    - `ratio`: the weight of false shadow divided by the weight of false light. This setting has the least weighted sum
-        of squares among all settings that were found.
+    - `ratio`: the weight of false shadow divided by the weight of false light. This setting has the lowest weighted sum
+      of squares among all settings that were found.
     - `rmse`: the RMSE over all pixels that count, even if the fit has another loss.
     - `is_knee`: whether it is farthest from the line between the ends of the front, with each error in units of its
-        range. Beyond the knee, one error grows much while the other falls little. Its RMSE may be far from the least.
+        range. Beyond the knee, one error grows much while the other falls little. Its RMSE may be far from the lowest.
     """
 
     values: Values
@@ -52,8 +52,8 @@ class FrontPoint(NamedTuple):
 
 
 def front_of(run: Run, best: Values, count: int) -> list[FrontPoint]:
-    """The front, from the setting with the least sum where false shadow weighs 256 times as much as false light to the
-    one where it weighs a 256th, with the setting of the least loss between them.
+    """The front. At its first setting, false shadow weighs 256 times as much as false light; at its last, a 256th. The
+    setting with the lowest loss is between them.
 
     Settings over all of the bounds are tried first. Each end is then searched from `best` and from the best of these
     settings, by gradient and by a search under the hard compare. Between two neighbours, the fit minimises the weighted
@@ -76,7 +76,7 @@ def front_of(run: Run, best: Values, count: int) -> list[FrontPoint]:
 class _Settings:
     """The settings that were found, and their errors.
 
-    - `settled`: the settings where a fit has ended, or began in vain.
+    - `settled`: the settings where a fit ended, or started without improvement.
     """
 
     def __init__(self, run: Run):
@@ -85,14 +85,14 @@ class _Settings:
         self.settled: set[Values] = set()
 
     def add(self, values: Values) -> Sides:
-        """The errors of `values`, which are evaluated unless they are known."""
+        """The errors of `values`, which are evaluated if they are unknown."""
         if values not in self.sides:
             self.run.say(f"front, setting {len(self.sides) + 1}")
             self.sides[values] = self.run.sides(values)
         return self.sides[values]
 
     def best(self, ratio: float) -> Values:
-        """The setting with the least weighted sum."""
+        """The setting with the lowest weighted sum."""
         return min(self.sides, key=lambda values: _sum(self.sides[values], ratio))
 
     def refit(self, values: Values, ratio: float) -> None:
@@ -121,7 +121,8 @@ class _Settings:
         self.refit(self.best(ratio), ratio)
 
     def between(self, count: int) -> None:
-        """Looks for settings between neighbours, the furthest apart first, until there are `count` that are settled."""
+        """Searches for settings between neighbours until `count` are settled. The neighbours that are farthest apart
+        come first."""
         tried: set[tuple[Values, Values]] = set()
         for _ in range(_FITS * count):
             hull = self.hull()
@@ -143,7 +144,7 @@ class _Settings:
                 break
 
     def hull(self) -> list[FrontPoint]:
-        """The settings that have the least weighted sum for some ratio, from the least false shadow on."""
+        """The settings that have the lowest weighted sum for some ratio, in order of increasing false shadow."""
         first, last = (self.best(ratio) for ratio in (_MAX_RATIO, 1 / _MAX_RATIO))
         (least, most), (most_light, least_light) = zip(self.sides[first], self.sides[last], strict=True)
         inside = [
@@ -154,7 +155,7 @@ class _Settings:
         points: list[FrontPoint] = []
         for values in dict.fromkeys((first, *sorted(inside, key=self.sides.__getitem__), last)):
             point = FrontPoint(values, *self.sides[values], 1.0, 0.0)
-            # Without points that lie on or above the line between their neighbours.
+            # Removes points on or above the line between their neighbours.
             while len(points) > 1 and _equal(points[-2], points[-1]) <= _equal(points[-1], point):
                 points.pop()
             points.append(point)
@@ -182,18 +183,18 @@ def _are_same(a: FrontPoint, b: FrontPoint) -> bool:
 
 
 def _scaled(points: Sequence[FrontPoint]) -> Float[HostArray, "n 2"]:
-    """The errors, each in units of what it ranges over. The ends lie at (0, 1) and (1, 0)."""
+    """The errors, each divided by its range. The ends lie at (0, 1) and (1, 0)."""
     at = np.asarray([(point.false_shadow, point.false_light) for point in points])
     return (at - at.min(axis=0)) / np.maximum(np.ptp(at, axis=0), 1e-12)
 
 
 def _gaps(points: Sequence[FrontPoint]) -> list[float]:
-    """How far neighbours are apart."""
+    """The distances between neighbours."""
     return np.linalg.norm(np.diff(_scaled(points), axis=0), axis=1).tolist()
 
 
 def _chosen(points: Sequence[FrontPoint], count: int) -> list[FrontPoint]:
-    """At most `count` of the points that differ: the least loss, the ends, and what is furthest from all of these."""
+    """At most `count` of the distinct points: the lowest loss, the ends, and the points farthest from all of these."""
     at, least = _scaled(points), min(points, key=lambda point: _sum((point.false_shadow, point.false_light), 1.0))
     chosen: list[int] = []
     for i in (points.index(least), 0, len(points) - 1):
@@ -209,5 +210,5 @@ def _chosen(points: Sequence[FrontPoint], count: int) -> list[FrontPoint]:
 
 
 def _knee(points: Sequence[FrontPoint]) -> int | None:
-    """The index of the knee; none unless there is a point between the ends."""
+    """The index of the knee. `None` unless there is a point between the ends."""
     return int(np.argmin(_scaled(points).sum(axis=1))) if len(points) >= FEWEST_POINTS else None

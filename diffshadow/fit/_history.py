@@ -21,9 +21,9 @@ class Step(NamedTuple):
     """One evaluation of the loss during a fit.
 
     - `phase`: number of the phase, from 0; `step`: number of the step within the phase, from 0; `width`: width of the
-        soft compare, in texels; 0 for the hard compare.
+      soft compare, in texels; 0 for the hard compare.
     - `loss`: the mean square error under that compare, or a user's loss; `values`: the parameters' values there.
-    - `start`: the number of the start that the fit is at, from 0.
+    - `start`: the number of the current start, from 0.
     """
 
     phase: int
@@ -37,8 +37,8 @@ class Step(NamedTuple):
 def shown_steps(
     update: Update, phases: Sequence[Any], starts: int, is_own_loss: bool, on_step: Callable[[Step], None] | None
 ) -> Callable[[Step], None]:
-    """Passes each step to `on_step`, and shows it by `update`. With several `starts`, the number of steps is unknown if
-    only the best start runs some of the `phases`."""
+    """Passes each step to `on_step`, and shows it with `update`. With several `starts`, the number of steps is unknown
+    if only the best start runs some of the `phases`."""
     count = len(phases) * starts if starts == 1 or all(phase.shared for phase in phases) else None
 
     def show(step: Step) -> None:
@@ -53,9 +53,9 @@ def shown_steps(
 
 
 class Report(eqx.Module):
-    """optimistix calls this at every step; it passes the numbers to the reporter that `token` names.
+    """optimistix calls this at every step. It passes the numbers to the reporter of `token`.
 
-    `ordered`: whether JAX keeps the order. A program on several devices cannot keep an order; the first device reports,
+    `ordered`: whether JAX keeps the order. A program on several devices cannot keep an order. The first device reports,
     in its own order.
     """
 
@@ -68,16 +68,16 @@ class Report(eqx.Module):
 
 
 def report_loss(token: Array, loss: Array, y: Float[Array, " a"]) -> None:
-    """Reports an evaluation of the `loss` at `y`, when the program runs; `token` names the reporter.
+    """Reports an evaluation of the `loss` at `y` at run time. `token` identifies the reporter.
 
-    For solvers that call no `Report`. A solver may evaluate several places at once, so reports come in the program's
-    own order.
+    For solvers that do not call `Report`. A solver may evaluate several points at once, so reports come in the
+    program's own order.
     """
     jax.debug.callback(_dispatch, token, loss, y)
 
 
 def report_overflow(token: Array, overflow: Overflow, y: Float[Array, " a"]) -> None:
-    """Reports, when the program runs, whether silhouettes were missing at `y`; `token` names the reporter."""
+    """Reports at run time whether silhouettes were missing at `y`. `token` identifies the reporter."""
     jax.debug.callback(_dispatch_overflow, token, overflow, y)
 
 
@@ -126,7 +126,7 @@ class Reporter:
         self._known = len(history)
 
     def begin(self, phase: int, width: float, free: np.ndarray, active: np.ndarray, scale: float = 1.0) -> None:
-        """Steps from here on belong to `phase`, whose soft compare is `width` texels wide.
+        """Later steps belong to `phase`. The width of its soft compare is `width` texels.
 
         **Arguments:**
 
@@ -139,7 +139,7 @@ class Reporter:
         self._known = len(self.history)
 
     def again(self) -> None:
-        """Forgets the steps of the present phase, which starts again."""
+        """Removes the steps of the current phase, which starts again."""
         del self.history[self._known :]
         self.overflowed.clear()
         self.step = 0
@@ -147,8 +147,8 @@ class Reporter:
     def add(self, loss: float, y: np.ndarray) -> None:
         """Adds an evaluation of `loss` at the free values `y` (a,) of the active parameters.
 
-        Values that are not finite are left out: dogleg tries them where the Jacobian is singular, as on a bound, and
-        then continues from the previous place.
+        Values that are not finite are left out. Dogleg tries such values where the Jacobian is singular, for example on
+        a bound, and then continues from the previous point.
         """
         if np.isfinite(y).all():
             self.record(loss / self.scale**2, self._values(y))
@@ -166,14 +166,14 @@ class Reporter:
         self.overflowed.append(self._values(y))
 
     def _values(self, y: np.ndarray) -> tuple[float, ...]:
-        # In NumPy: a callback must not wait for JAX.
+        # NumPy, because a callback must not wait for JAX.
         free = self.free.copy()
         free[self.active] = y
         return tuple((self.lower + (self.upper - self.lower) * (1 + np.sin(free)) / 2).tolist())
 
     @contextlib.contextmanager
     def own_errors(self) -> Iterator[None]:
-        """Raises the error that `on_step` raised within a program, in place of the error that JAX makes from it and
+        """Raises the error that `on_step` raised within a program. It replaces the error that JAX makes from it and
         logs."""
         log, is_foreign = logging.getLogger(jax.debug.callback.__module__), lambda _: self.error is None
         log.addFilter(is_foreign)

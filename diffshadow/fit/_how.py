@@ -1,4 +1,4 @@
-"""How a fit searches, and what it says about how sure its values are."""
+"""The settings of a fit's search, and of the uncertainty of its values."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -14,22 +14,23 @@ from .problems import Joint, check_falling
 
 @dataclasses.dataclass(frozen=True)
 class Search:
-    """Where a fit searches, and how many pixels a step evaluates.
+    """The region of a fit's search, and the number of pixels in a step.
 
-    - `starts`: how many starts are tried: the initial values, and then a Sobol sequence over the bounds. The start that
-        is best after the first blurs, under the hard compare, continues.
+    - `starts`: the number of starts: the initial values, and then a Sobol sequence over the bounds. After the first
+      blurs, only the best start under the hard compare continues.
     - `seed`: seed of the starts.
-    - `blurs`: for a fit of poses, the falling standard deviations in pixels of the Gaussian under which images are
-        compared. Phases before the last move poses only; a phase under the best blur for the map's texels follows. If
-        left out, widths fall from an eighth of the images' shorter side to 3, each about a third of the previous width.
-    - `evaluations`: how often the error is evaluated, for each parameter, in the search for numbers that lay out the
-        map.
-    - `pixels`: the most pixels that a step of a fit of a technique evaluates. If more pixels count, a step evaluates a
-        random sample. For a loss other than the mean, most of the sample comes from the worst problems. Their errors
-        are rescaled to whole images when a phase starts. The judge, and a user's loss, see all pixels.
-    - `devices`: how many devices share the images of a fit of a technique; 0 for all that JAX sees.
+    - `blurs`: for a fit of poses, the decreasing standard deviations, in pixels, of the Gaussian that blurs the
+      compared images. All phases before the last move poses only. A phase under the best blur for the map's texels
+      follows. By default, widths fall from an eighth of the images' shorter side to 3, each about a third of the
+      previous width.
+    - `evaluations`: the number of error evaluations, for each parameter, in the search for numbers that lay out the
+      map.
+    - `pixels`: the maximum number of pixels in a step of a fit of a technique. If more pixels count, a step evaluates a
+      random sample. For a loss other than the mean, most of the sample comes from the worst problems. Their errors are
+      rescaled to whole images when a phase starts. The judge, and a user's loss, see all pixels.
+    - `devices`: the number of devices that share the images of a fit of a technique; 0 for all devices of JAX.
 
-    **Raises** `ValueError` for a value that is not allowed.
+    **Raises** `ValueError` for an invalid value.
     """
 
     settings: ClassVar = SearchSettings
@@ -51,16 +52,15 @@ class Search:
 class Sureness:
     """The intervals and fronts around the best values that a fit computes.
 
-    - `within`: for each of these fractions ε, finds the interval of every parameter in which the error stays below
-        (1 + ε) times the best, while the others are fitted again.
-    - `prefer`, `tolerance`: the preferred parameters, by name, each with the bound that it should come close to,
-        `"lower"` or `"upper"`; and how much larger the error may be. The result is chosen among all values whose error
-        is at most (1 + `tolerance`) times the best: the first parameter goes as far as possible, then the second, and
-        so on. Like `within`, only for fits of a technique.
+    - `within`: for each of these fractions ε, finds the interval of every parameter in which the error stays below (1 +
+      ε) times the best error. The other parameters are fitted again.
+    - `prefer`, `tolerance`: the preferred parameters, by name, each with the bound to approach, `"lower"` or `"upper"`;
+      and the tolerated increase of the error. The result is chosen among all values whose error is at most (1 +
+      `tolerance`) times the best. The first parameter goes as far as possible, then the second, and so on. Like
+      `within`, this is only for fits of a technique.
     - `front`: the number of settings on the front, 3 or more; each minimises a weighted sum of false shadow and false
-        light. 0 for no front. Only for fits of a technique, with a loss that has factors for both.
-
-    **Raises** `ValueError` for a value that is not allowed.
+        light. 0 for no front. This is only for fits of a technique, with a loss that has factors for both. **Raises**
+        `ValueError` for an invalid value.
     """
 
     settings: ClassVar = SurenessSettings
@@ -76,8 +76,7 @@ class Sureness:
             raise ValueError(f"Sureness.front is {self.front}; expected 0, or {FEWEST_POINTS} or more")
 
     def check(self, joint: Joint, names: list[str]) -> None:
-        """**Raises** `ValueError` for intervals and fronts that are not possible for a fit of the parameters
-        `names`."""
+        """**Raises** `ValueError` for intervals and fronts that are impossible in a fit of the parameters `names`."""
         if (self.within or self.prefer) and joint.moves:
             raise ValueError("intervals or preferences were requested for a fit of lights or meshes; expected none")
         for name, _ in self.prefer:

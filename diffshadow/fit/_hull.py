@@ -1,6 +1,6 @@
-"""The visual hull of a shape: the largest one that casts given shadows (Laurentini, "The Visual Hull Concept for
-Silhouette-Based Image Understanding", 1994). A fit from shadows alone starts within it, and counts its steps in the
-shadows' size.
+"""The visual hull of a shape: the largest shape that casts the given shadows (Laurentini, "The Visual Hull Concept for
+Silhouette-Based Image Understanding", 1994). A fit from shadows alone starts within it, and its step sizes are relative
+to the shadows' size.
 """
 
 from collections.abc import Sequence
@@ -20,24 +20,24 @@ from .problems._shape import mirrored
 
 # Visibility below which a pixel is in shadow.
 _DARK = 0.5
-# Pixels whose centre is less than this from the middle between a dark pixel and a lit one lie beside an outline.
+# A pixel is next to an outline if its centre is less than this from the middle between a dark pixel and a lit one.
 _BESIDE = 1.0
-# Cells along the longest side of a hull, and of the boxes that are searched for it, and how often.
+# The number of cells along the longest side of a hull and of the search boxes, and the number of searches.
 _CELLS, _SEARCHED, _SEARCHES = 64, 24, 5
-# λ of the smoothing that shrinks a hull. Its thin parts shrink too, and stay.
+# The λ of the smoothing that shrinks a hull. Its thin parts also shrink, but remain.
 _SHRINKING = 3.0
-# The least sine of the angle between the directions of two shadows' lights.
+# The minimum sine of the angle between the directions of two shadows' lights.
 _LEAST_SINE = 0.1
 
 
 class Outline(NamedTuple):
-    """A shadow as its light sees it, in a plane perpendicular to the light's direction: at distance 1 from the light,
-    if the light has a position.
+    """A shadow as its light sees it, in a plane perpendicular to the light's direction. If the light has a position,
+    the plane is at distance 1 from it.
 
-    - `frame`: (3, 3), rows to the right, upwards, and along the light; `source`: (3,), the light's place, or any point
-        if it has none; `is_directional`: whether it has none.
+    - `frame`: (3, 3), rows to the right, upwards, and along the light; `source`: (3,), the light's position, or any
+      point if it has none; `is_directional`: whether it has none.
     - `distance`: (n, n), signed distance from the shadow's outline on a grid, positive in the shadow; `low`, `step`:
-        the grid's first point, and the distance between points.
+      the grid's first point, and the distance between points.
     """
 
     frame: Float[HostArray, "3 3"]
@@ -62,7 +62,7 @@ class Outline(NamedTuple):
         source = points[0] + towards[0]
         seen, _ = _in_plane(frame, source, view.light.is_directional, points)
         low, high = seen.min(axis=0), seen.max(axis=0)
-        # The pixels of a screen that faces the light, and some more round them.
+        # The pixels of a screen that faces the light, with a margin of a few pixels.
         step = float((high - low).max()) / max(max(mask.shape) - 1, 1)
         at = grid_points(low - step, step, (max(mask.shape) + 2,) * 2)
         query: Any = KDTree(seen).query
@@ -72,20 +72,20 @@ class Outline(NamedTuple):
         return cls(frame, source, bool(view.light.is_directional), distance, low - step, step)
 
     def __call__(self, points: Float[HostArray, "*n 3"]) -> Float[HostArray, "*n"]:
-        """How far within the shadow's prism, or its cone, points are, in world units; negative outside."""
+        """The depth of points within the shadow's prism or cone, in world units; negative outside."""
         seen, scale = _in_plane(self.frame, self.source, self.is_directional, points)
         place = np.moveaxis((seen - self.low) / self.step, -1, 0)
         found: Any = ndimage.map_coordinates(self.distance, place, order=1, mode="nearest")
         return found * scale
 
     def size(self, at: Float[HostArray, "3"]) -> float:
-        """The longer side of the shadow, in world units, at a point's distance from the light."""
+        """The longer side of the shadow, in world units, at the distance of a point from the light."""
         rows, columns = np.nonzero(self.distance > 0)
         _, scale = _in_plane(self.frame, self.source, self.is_directional, at)
         return float(max(np.ptp(rows), np.ptp(columns)) + 1) * self.step * float(scale)
 
     def ray(self) -> tuple[Float[HostArray, "3"], Float[HostArray, "3"]]:
-        """A point on the line from the light through the shadow's middle, and its direction."""
+        """A point on the line from the light through the shadow's centre, and the direction of the line."""
         rows, columns = np.nonzero(self.distance > 0)
         middle = self.low + self.step * np.array([rows.mean(), columns.mean()])
         way = self.frame[2] if self.is_directional else self.frame.T @ np.array([*middle, 1.0])
@@ -94,7 +94,7 @@ class Outline(NamedTuple):
 
 
 def _signed_distance(image: Float[HostArray, "n n"]) -> Float[HostArray, "n n"]:
-    """How far pixels lie within a shadow, in pixels. A pixel beside the outline that is partly lit lies as far out."""
+    """The depth of pixels within a shadow, in pixels. A partly lit pixel at the outline is that fraction outside."""
     inside = image < _DARK
     edt: Any = ndimage.distance_transform_edt
     away = np.where(inside, edt(inside) - 0.5, 0.5 - edt(~inside))
@@ -108,33 +108,33 @@ def _in_plane(
     is_directional: bool,
     points: Float[HostArray, "*n 3"],
 ) -> tuple[Float[HostArray, "*n 2"], Any]:
-    """Where points lie in the plane across a light, and how many world units its unit is there."""
+    """The positions of points in the plane across a light, and the length of the plane's unit there, in world units."""
     seen = (points - source) @ frame.T
     if is_directional:
         return seen[..., :2], np.ones(seen.shape[:-1])
-    # Points beside the light and behind it lie far outside of all shadows.
+    # Points next to the light or behind it are far outside of all shadows.
     ahead = seen[..., 2] > 1e-6 * np.abs(seen).sum(axis=-1)
     depth = np.where(ahead, seen[..., 2], 1.0)
     return np.where(ahead[..., None], seen[..., :2] / depth[..., None], 1e6), depth
 
 
 def shadow_size(views: Sequence[ShapeView], at: Float[HostArray, "3"]) -> float:
-    """The longest side of all shadows at a point's distances from their lights, in world units."""
+    """The longest side of all shadows, in world units, at the distances of a point from the lights."""
     return max(Outline.of(view).size(at) for view in views)
 
 
 def hull_start(
     views: Sequence[ShapeView], *, faces: int = 10_000, symmetry: Sequence[float | int] | None = None
 ) -> Mesh:
-    """A closed mesh within the visual hull of the views' references, for a fit to start from.
+    """A closed mesh within the visual hull of the views' references, as the start of a fit.
 
-    The hull is found on a grid of 64 cells along its longest side, and smoothed, which shrinks it. It has the hull's
-    parts and holes, except for small ones. Views whose light moves are ignored if there are others.
+    The hull is found on a grid with 64 cells along its longest side. Smoothing then shrinks it. The mesh has the parts
+    and holes of the hull, except for small ones. Views with a moving light are ignored if there are others.
 
     **Arguments:**
 
-    - `faces`: about how many faces the mesh has, and at most.
-    - `symmetry`: (a, b, c, d), a plane a x + b y + c z = d across which the mesh is its own mirror image.
+    - `faces`: the approximate and maximum number of faces of the mesh.
+    - `symmetry`: (a, b, c, d), a plane a x + b y + c z = d across which the mesh is symmetric.
 
     **Raises** `ValueError` for fewer than two views from different directions, or for shadows that no shape casts.
     """
@@ -160,7 +160,7 @@ _NONE = (
 def _within(
     outlines: Sequence[Outline], mirror: tuple[float, ...] | None, points: Float[HostArray, "*n 3"]
 ) -> Float[HostArray, "*n"]:
-    """How far within all prisms points are; with a plane, they and their mirror images."""
+    """The depth of points within all prisms. With a plane, the depth of the points and of their mirror images."""
     found = np.min([outline(points) for outline in outlines], axis=0)
     if mirror is None:
         return found
@@ -171,20 +171,20 @@ def _within(
 def _box(
     outlines: Sequence[Outline], mirror: tuple[float, ...] | None
 ) -> tuple[Float[HostArray, "3"], Float[HostArray, "3"]]:
-    """The corners of a box round the hull.
+    """The corners of a box around the hull.
 
-    The search starts about the point that is closest to all shadows' middle rays, and keeps each cell that the hull may
-    reach.
+    The search starts at the point that is closest to the central rays of all shadows, and keeps each cell that may
+    contain a part of the hull.
     """
     across, towards = np.zeros((3, 3)), np.zeros(3)
     for start, way in map(Outline.ray, outlines):
         flat = np.eye(3) - np.outer(way, way)
         across, towards = across + flat, towards + flat @ start
-    # Of two lights, the least eigenvalue is 1 minus the cosine of the angle between them.
+    # For two lights, the smallest eigenvalue is 1 minus the cosine of the angle between them.
     least = float(np.linalg.eigvalsh(across)[0])
     if least < _LEAST_SINE**2 / 2:
         raise ValueError(
-            "the views' lights shine from one direction, so that nothing bounds a shape along it; expected two or more "
+            "the views' lights shine from one direction, so nothing bounds a shape along it; expected two or more "
             "directions: add a view, or give a mesh to start from"
         )
     middle = np.linalg.solve(across, towards)

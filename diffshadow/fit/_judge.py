@@ -1,4 +1,4 @@
-"""What judges a fit: the problems at full resolution under the hard compare."""
+"""The judge of a fit: the problems at full resolution under the hard compare."""
 
 import dataclasses
 from functools import cached_property
@@ -12,13 +12,13 @@ from ._parameters import Parameters
 from ._phases import Phase, enlarged
 from .problems import Atlases, Joint, Losses, Samples, Together, copied_bytes, stacked_order
 
-# So many images are judged by a program of their own, which takes two seconds to compile and copies all of them, unless
-# the copies take more bytes.
+# Up to this many images are judged by their own program, unless its copies take more than this many bytes. The program
+# takes two seconds to compile and copies all images.
 _MANY, _MAX_COPIED = 64, 1 << 30
 
 
 class _Stacks(NamedTuple):
-    """Stacks of the `problems` of a judge, whose order among these is `order`."""
+    """Stacks of a judge's `problems`, with their `order`."""
 
     problems: tuple[Any, ...]
     order: list[int]
@@ -26,12 +26,13 @@ class _Stacks(NamedTuple):
 
 
 class Judge:
-    """The problems of a fit of `parameters` under the hard compare. It sees the start and the end of every phase.
+    """The problems of a fit of `parameters` under the hard compare. The judge evaluates the start and the end of every
+    phase.
 
     - `joint`: the problems, with maps laid out for the values that were judged last.
 
-    A method of a joint problem, even one that does nothing, takes a tenth of a second for a thousand images. So most
-    functions here call methods of stacks of problems.
+    For a thousand images, every method of a joint problem takes at least a tenth of a second. Most functions here
+    therefore call methods of stacks of problems.
     """
 
     def __init__(self, joint: Joint, parameters: Parameters):
@@ -43,7 +44,7 @@ class Judge:
 
     @property
     def loss(self) -> Loss:
-        """Of the fit, exact."""
+        """The exact loss of the fit."""
         return self.joint.loss
 
     def at(self, values: Float[Array, " p"]) -> Joint:
@@ -52,12 +53,12 @@ class Judge:
         return self.joint.put(self.parameters, values)
 
     def losses(self, values: Float[Array, " p"], loss: Loss) -> Losses:
-        """The losses at `values` (p,), by all devices if there are several."""
+        """The losses at `values` (p,), from all devices if there are several."""
         self._lay_out(values)
         if self._is_stacked:
             found = self._together(values, loss).losses
         else:
-            # Not as one program: its parts share theirs with all else that is drawn.
+            # Not one program, because its parts share the programs of all other drawings.
             judge = self.joint.put(self.parameters, values).with_loss(loss)
             found = judge.losses(judge.subject)
         if not found.overflow:
@@ -84,14 +85,15 @@ class Judge:
         self.joint = enlarged(self.joint, self.parameters, values[None])
 
     def seen_by(self, phase: Phase, values: Float[Array, " p"]) -> Joint:
-        """The stacks of the pixels that a step of `phase` evaluates from `values` (p,) in a fit of a technique: a
-        sample of them, or all."""
+        """The stacks of the pixels that a step of `phase` evaluates from `values` (p,) in a fit of a technique: all
+        pixels or a sample."""
         self._lay_out(values)
-        # A user's loss may compare neighbours, so it sees whole images.
+        # A user's loss may compare neighbours, so it gets whole images.
         pixels = None if phase.joint.own is not None or self._count <= phase.pixels else phase.pixels
         if pixels is None or phase.joint.loss.over == "mean":
             return self._stacked(pixels).joint
-        # A mean of a part of the pixels is close to the mean of all. The worst of several is not: few images decide.
+        # A mean over part of the pixels is close to the mean over all. The maximum is not, because few images decide
+        # it.
         errors = self.errors(values, phase.joint.loss)
         order = np.argsort(-np.asarray(errors), kind="stable").tolist()
         whole = dataclasses.replace(phase.joint.put(self.parameters, values), problems=self.joint.problems)
@@ -100,12 +102,12 @@ class Judge:
 
     @cached_property
     def _count(self) -> int:
-        """How many pixels count, however maps are laid out."""
+        """The number of pixels that count, for any layout of the maps."""
         return self.joint.count
 
     @property
     def _is_stacked(self) -> bool:
-        """Whether one program evaluates all images, rather than programs that all else shares evaluate each."""
+        """Whether one program evaluates all images. Otherwise, the shared programs evaluate each image."""
         joint = self.joint
         if joint.moves or joint.own is not None:
             return False
@@ -113,11 +115,11 @@ class Judge:
 
     @cached_property
     def _copied(self) -> int:
-        """Bytes that stacks of all images copy."""
+        """The size of the copies of all images in stacks, in bytes."""
         return copied_bytes(self.joint.problems)
 
     def _stacked(self, pixels: int | None = None) -> _Stacks:
-        """All images as stacks, or about so many `pixels` of them. They are kept until maps are drawn again."""
+        """All images as stacks, or about `pixels` pixels of them. They are kept until maps are drawn again."""
         kept, problems = self._stacks.get(pixels), self.joint.problems
         if kept is None or kept.problems is not problems:
             joint = self.joint if pixels is None else self.joint.sampled(pixels, (), self._samples)
@@ -127,7 +129,7 @@ class Judge:
         return kept
 
     def _together(self, values: Float[Array, " p"], loss: Loss) -> Together:
-        """What one program finds of all images at `values` (p,)."""
+        """The losses of all images at `values` (p,), from one program."""
         stacks, subject = self._stacked(), self.parameters.put(self.joint.subject, values)
         return dataclasses.replace(stacks.joint, subject=subject, loss=loss).together(stacks.order)
 
@@ -137,5 +139,5 @@ class Judge:
 
 
 def _key(values: Float[Array, " p"], loss: Loss) -> tuple[float, ...]:
-    """What the errors of images depend on."""
+    """The key of the images' errors."""
     return *values.tolist(), float(loss.false_shadow), float(loss.false_light)

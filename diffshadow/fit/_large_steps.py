@@ -1,8 +1,9 @@
 """Large steps: a change of variables that smooths the steps of a mesh's vertices.
 
-A vertex's own gradient comes from the few texels that an outline crosses near it. Steps along it shred a mesh. Nicolet,
-Jacobson & Jakob ("Large Steps in Inverse Rendering of Geometry", ACM Transactions on Graphics 40, 2021) descend on
-u = (I + λ L) x instead of the vertices x, with L the mesh's Laplacian. A step in u moves neighbours together.
+The gradient of a vertex comes from the few texels that an outline crosses nearby. Steps along this gradient would tear
+a mesh apart. Nicolet, Jacobson & Jakob ("Large Steps in Inverse Rendering of Geometry", ACM Transactions on Graphics
+40, 2021) descend on u = (I + λ L) x instead of the vertices x, with L the mesh's Laplacian. A step in u moves
+neighbours together.
 """
 
 from typing import Any
@@ -24,7 +25,7 @@ def neighbours(count: int, faces: Int[HostArray, "f 3"]) -> Any:
 
 
 class LargeSteps:
-    """u = (I + λ L) x of vertices x, with the uniform Laplacian L; only `free` vertices have a u.
+    """u = (I + λ L) x for vertices x, with the uniform Laplacian L. Only `free` vertices have a u.
 
     The matrix is symmetric, so the gradient with respect to u solves the same system for the gradient with respect to
     x.
@@ -42,7 +43,7 @@ class LargeSteps:
         whole = (sparse.eye_array(count) + strength * (sparse.diags_array(near.sum(axis=1)) - near)).tocsr()
         self._free, self._start = free, np.array(vertices)
         self._matrix = whole[free][:, free].tocsc()
-        # What the vertices that stay add.
+        # The contribution of the fixed vertices.
         self._still = whole[free][:, ~free] @ vertices[~free]
         self._solve = splu(self._matrix).solve
 

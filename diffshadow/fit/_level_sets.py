@@ -1,7 +1,7 @@
 """Closed surfaces on which a field on a grid is zero.
 
 Triangles come from marching tetrahedra on a body-centred grid whose points are snapped to the surface (manifold3d's
-level set). Their edges have about one length.
+level set). Their edges have similar lengths.
 """
 
 from collections.abc import Callable
@@ -18,24 +18,26 @@ from ._large_steps import neighbours
 Triangles = tuple[Float[HostArray, "_ 3"], Int[HostArray, "_ 3"]]
 """Vertices (v, 3) and faces (f, 3)."""
 
-# Closed parts with less than this of the largest part's volume are left out.
+# Closed parts with less than this fraction of the largest part's volume are left out.
 _LEAST_PART = 0.01
-# Equal triangles that cover an area with so many of them have edges of this length times the root of a triangle's area.
+# Equal triangles that cover a given area have edges of this length times the root of a triangle's area.
 _EDGE = (4 / 3**0.5) ** 0.5
-# A level set has somewhat more faces than equal triangles would. Each try makes the edges so much longer, at least.
+# A level set has slightly more faces than equal triangles would. Each attempt lengthens the edges by at least this
+# factor.
 _LONGER, _TRIES = 1.02, 8
-# Of a cell, by which grids are moved off the surface's bounds, where vertices often lie.
+# The fraction of a cell by which grids are moved off the surface's bounds, where vertices often are.
 _OFF = 0.0137
-# How far from a plane, as a fraction of the size, rounding leaves vertices that lie on it.
+# Rounding moves vertices off a plane by up to this fraction of the size.
 _ON_PLANE = 1e-6
-# How far vertices that share a place move towards their neighbours' mean.
+# The distance by which vertices at the same position move towards their neighbours' mean.
 _APART = 0.2
 
 
 class Field(NamedTuple):
     """Values at the points of a grid, positive within a shape and negative outside of it.
 
-    - `values`: (l, m, n); `low`: (3,), the first point, in world units; `step`: between points, in world units.
+    - `values`: (l, m, n); `low`: (3,), the first point, in world units; `step`: the distance between points, in world
+      units.
     """
 
     values: Float[HostArray, "l m n"]
@@ -44,34 +46,34 @@ class Field(NamedTuple):
 
 
 def grid_points(low: Float[HostArray, " d"], step: float, shape: tuple[int, ...]) -> Float[HostArray, "*n d"]:
-    """The points of a grid of this `shape`, in as many dimensions as it has."""
+    """The points of a grid of this `shape`, with the same number of dimensions."""
     return low + step * np.moveaxis(np.indices(shape), 0, -1)
 
 
 def grid_round(
     low: Float[HostArray, "3"], high: Float[HostArray, "3"], cells: int
 ) -> tuple[Float[HostArray, "3"], float, tuple[int, ...]]:
-    """A grid around a box, with `cells` steps along the box's longest side and two more cells on each side: its first
-    point, its step and its shape."""
+    """A grid around a box, with `cells` steps along the box's longest side and two more cells on each side. Returns its
+    first point, its step and its shape."""
     step = float((high - low).max()) / cells
     return low - (2 + _OFF) * step, step, tuple((np.ceil((high - low) / step).astype(int) + 5).tolist())
 
 
 def level_set(field: Field, faces: int, mirror: tuple[float, ...] | None = None) -> Triangles:
-    """The closed surface on which a field is zero, of about `faces` triangles and not more, wound outwards.
+    """The closed surface on which a field is zero, with about `faces` triangles at most, wound outwards.
 
     No two vertices have the same position. Small parts are left out.
 
-    **Arguments:** `mirror`: (a, b, c, d), a plane a x + b y + c z = d. The surface is taken from the half where this
-    sum is at least d, and mirrored.
+    **Arguments:** `mirror`: (a, b, c, d), a plane a x + b y + c z = d. The half where this sum is at least d is
+    mirrored.
 
     **Raises** `ValueError` for a field that is positive nowhere.
     """
     at, top = _interpolated(field), field.low + field.step * (np.array(field.values.shape) - 1)
-    # Of the cells that the surface passes through, as if it were level in each.
+    # The area of the surface, estimated from the cells that it passes through as if it were level in each.
     inside = field.values > 0
     if not inside.any():
-        raise ValueError("the field is positive nowhere, so that it has no inside; expected some positive values")
+        raise ValueError("the field is positive nowhere, so it has no inside; expected positive values at some points")
     crossed = sum(float((np.diff(inside.astype(np.int8), axis=axis) != 0).sum()) for axis in range(3))
     edge = _EDGE * float(np.sqrt(crossed / 1.5 * field.step**2 / faces))
     make = lambda: _whole(manifold3d.Manifold.level_set(at, [*field.low.tolist(), *top.tolist()], edge), mirror)
@@ -85,8 +87,8 @@ def level_set(field: Field, faces: int, mirror: tuple[float, ...] | None = None)
 
 
 def _interpolated(field: Field) -> Callable[[float, float, float], float]:
-    """The trilinear interpolation of a field; outside of its grid it is negative. It is called for one point at a
-    time, so it has no arrays."""
+    """The trilinear interpolation of a field, negative outside of its grid. It is called for one point at a time, so it
+    uses no arrays."""
     (low_x, low_y, low_z), per_unit = field.low.tolist(), 1 / field.step
     count_x, count_y, count_z = field.values.shape
     along_x, along_y, values = count_y * count_z, count_z, field.values.ravel().tolist()
@@ -128,7 +130,7 @@ def _whole(made: manifold3d.Manifold, mirror: tuple[float, ...] | None) -> Trian
 
 
 def _mirrored(vertices: Float[HostArray, "v 3"], faces: Int[HostArray, "f 3"], plane: tuple[float, ...]) -> Triangles:
-    """A half of a surface and its mirror image, joined along the plane that cuts it."""
+    """Half of a surface and its mirror image, joined along the plane that cuts it."""
     normal = np.asarray(plane[:3]) / np.dot(plane[:3], plane[:3])
     away = vertices @ np.asarray(plane[:3]) - plane[3]
     on = np.abs(away) <= _ON_PLANE * float(np.ptp(vertices, axis=0).max()) * float(np.linalg.norm(plane[:3]))
@@ -142,7 +144,7 @@ def _mirrored(vertices: Float[HostArray, "v 3"], faces: Int[HostArray, "f 3"], p
 
 
 def _apart(vertices: Float[HostArray, "v 3"], faces: Int[HostArray, "f 3"]) -> Triangles:
-    """Vertices that touch others are moved into their own surface."""
+    """Moves vertices that touch others into their own surface."""
     _, which, count = np.unique(vertices, axis=0, return_inverse=True, return_counts=True)
     touching = count[which.reshape(-1)] > 1
     near = neighbours(len(vertices), faces)

@@ -1,4 +1,4 @@
-"""What a fit minimises: the errors of several images as one number."""
+"""The quantity that a fit minimises: the errors of several images as one number."""
 
 from typing import ClassVar
 
@@ -16,29 +16,29 @@ from ..settings.fit import Over
 Errors = Float[Array, " v"]
 """A number for each image, (v,)."""
 
-# The powers of the mean that stands for the maximum, in the first phase of a fit and in the last.
+# The exponents of the mean that approximates the maximum, in the first phase of a fit and in the last.
 _FIRST_POWER, _LAST_POWER = 4.0, 64.0
-# Of the search for a threshold: its reach, as a logarithm, and its steps.
+# The search for a threshold: its range, as a logarithm, and its number of steps.
 _REACH, _HALVINGS = 7.0, 44
 
 
 class Loss(CheckedModule):
     """How the mean square errors E of several images become the loss L of a fit.
 
-    All of these are convex in E, and homogeneous: L(s E) = s L(E). So L = Σ w E with the weights w = ∂L/∂E, and least
-    squares of residuals that are weighted by √w have the loss L and its gradient.
+    All losses are convex in E, and homogeneous: L(s E) = s L(E). Therefore L = Σ w E with the weights w = ∂L/∂E. Least
+    squares of residuals with the weights √w have the loss L and its gradient.
 
     - `over`: `"mean"`, the mean over all pixels; `"worst"`, the greatest E; `"cvar"`, the mean of E over the worst
         `fraction` of pixels when images are sorted by E (conditional value at risk, Rockafellar & Uryasev 2000).
     - `fraction`: for `"cvar"`.
-    - `false_shadow`, `false_light`: factors of the squared differences where an image is too dark, and where it is too
-        light.
-    - `power`: p, with which the loss is smooth; None for the loss itself. With sₖ the share of all pixels that image k
-        has, the greatest E is replaced by the mean (Σ sₖ Eₖᵖ)^(1/p), and the mean over the worst fraction α by
+    - `false_shadow`, `false_light`: factors of the squared differences at pixels that are too dark, and at pixels that
+      are too light.
+    - `power`: the exponent p of a smooth loss; `None` for the loss itself. Let sₖ be image k's share of all pixels. The
+      greatest E is replaced by the mean (Σ sₖ Eₖᵖ)^(1/p), and the mean over the worst fraction α by
 
             min over t of  t + t / (p α) Σ sₖ log(1 + exp(p (Eₖ / t - 1))),
 
-        in which the logarithm replaces Rockafellar's and Uryasev's max(0, p (Eₖ / t - 1)).
+        where the logarithm replaces Rockafellar's and Uryasev's max(0, p (Eₖ / t - 1)).
 
     **Raises** `ValueError` if both factors are 0.
     """
@@ -64,20 +64,20 @@ class Loss(CheckedModule):
         return Loss(self.over, self.fraction, self.false_shadow, self.false_light, power)
 
     def exact(self) -> "Loss":
-        """With the maximum itself."""
+        """The loss with the maximum itself."""
         return Loss(self.over, self.fraction, self.false_shadow, self.false_light)
 
     def reweighted(self, ratio: float) -> "Loss":
         """The loss with the ratio of its two factors, false shadow to false light, multiplied by `ratio`."""
         root, dark, light = ratio**0.5, float(self.false_shadow), float(self.false_light)
         factors = lambda loss: (loss.false_shadow, loss.false_light)
-        # Unchecked: a ratio may carry a factor beyond its limit.
+        # Unchecked, because a ratio may move a factor beyond its limit.
         return eqx.tree_at(factors, self, (as_float(dark * root), as_float(light / root)))
 
     def signed(self, difference: Float[Array, "*n"]) -> Float[Array, "*n"]:
         """A difference of visibilities, times the square root of the factor for its sign."""
         factor = jnp.where(difference > 0, self.false_light, self.false_shadow)
-        # The square root has no derivative at 0, and the factors need none.
+        # The square root has no derivative at 0, and the factors do not need one.
         return difference * jnp.sqrt(jax.lax.stop_gradient(factor))
 
     def weights(self, errors: Errors, shares: Errors) -> Errors:
@@ -102,7 +102,7 @@ class Loss(CheckedModule):
     ) -> Float[Array, "v p"] | None:
         """Rows B: The change of the weights adds BᵀB to the Gauss-Newton matrix.
 
-        Since losses are homogeneous, it is to first order in E
+        Because losses are homogeneous, it is to first order in E
 
             ½ ∂²L/∂E² ∇E ∇E = ½ Σₖ cₖ (gₖ - ḡ)(gₖ - ḡ)ᵀ,   gₖ = ∇Eₖ / Eₖ,   ḡ = Σ cₖ gₖ / Σ cₖ,
 
@@ -126,7 +126,7 @@ class Loss(CheckedModule):
         return jnp.sqrt(curvature / 2)[:, None] * (relative - mean)
 
     def _excess(self, errors: Errors, shares: Errors) -> tuple[Errors, Scalar]:
-        """zₖ = p (Eₖ / t - 1), and the t at which the smooth mean over the worst fraction is least."""
+        """zₖ = p (Eₖ / t - 1), and the t that minimises the smooth mean over the worst fraction."""
         power, most = self.power, jnp.maximum(jnp.max(errors), _TINY)
         assert power is not None
 
@@ -138,13 +138,13 @@ class Loss(CheckedModule):
             falls = power * self.fraction + jnp.sum(shares * slope) < 0
             return jnp.where(falls, middle, low), jnp.where(falls, high, middle)
 
-        # Of the logarithm of t over the greatest error.
+        # The range of the logarithm of t over the greatest error.
         ends = as_float(-_REACH), as_float(_REACH)
         threshold = most * jnp.exp(jax.lax.fori_loop(0, _HALVINGS, halved, ends)[1])
         return power * (errors / threshold - 1), threshold
 
     def _relative(self, errors: Errors, shares: Errors) -> Errors:
-        """The errors over their mean of this power."""
+        """The errors divided by their mean of this power."""
         assert self.power is not None
         scaled = errors / jnp.maximum(jnp.max(errors), _TINY)
         mean = jnp.sum(shares * scaled**self.power) ** (1 / self.power)

@@ -1,7 +1,7 @@
 """Lights that are fitted together with a shape: their positions and directions.
 
-All of their numbers are one flat array. Steps are counted in degrees as the shape sees them, whatever the number: a
-position moves by an angle times the light's distance.
+All numbers of the lights are in one flat array. Steps are in degrees as seen from the shape: a position moves by an
+angle times the light's distance.
 """
 
 from collections.abc import Sequence
@@ -17,16 +17,16 @@ from .._types import HostArray
 from ..geometry import AbstractLight, LightPose
 from .problems import ShapeView
 
-# Of one degree of azimuth, at least so much is counted near the zenith, where azimuth means nothing.
+# The minimum change per degree of azimuth, for directions near the zenith, where azimuth has little effect.
 _LEAST_COSINE = 0.1
 
 
 class MovingLights(NamedTuple):
     """The lights of groups of views. Some of them move.
 
-    - `groups`: for each group its views' lights, along a first axis.
-    - `starts`: for each, the numbers of the lights' poses, (n, k); `treedefs`: how they make a pose.
-    - `lengths`: (n, k), how much each number changes in a degree; 0 for those that stay.
+    - `groups`: for each group, its views' lights along a first axis.
+    - `starts`: for each group, the numbers of the lights' poses, (n, k); `treedefs`: the structures of the poses.
+    - `lengths`: (n, k), the change of each number per degree; 0 for fixed numbers.
     """
 
     groups: list[AbstractLight]
@@ -36,8 +36,8 @@ class MovingLights(NamedTuple):
 
     @classmethod
     def of(cls, groups: Sequence[ShapeView], middle: Float[HostArray, "3"]) -> "MovingLights":
-        """Takes the poses of the lights of groups of views; `middle`: the middle of the shape, from which distances are
-        counted."""
+        """Takes the poses of the lights of groups of views. `middle` is the centre of the shape, the origin of
+        distances."""
         lights, starts, treedefs, lengths = [], [], [], []
         for group in groups:
             pose = _poses(group.light)
@@ -61,7 +61,7 @@ class MovingLights(NamedTuple):
         return self._flat(self.starts) if self.move else np.zeros(0)
 
     def poses(self, numbers: Float[HostArray, " m"]) -> list[LightPose] | None:
-        """The poses of each group's lights; none if no light moves."""
+        """The poses of each group's lights; `None` if no light moves."""
         if not self.move:
             return None
         return [
@@ -75,17 +75,17 @@ class MovingLights(NamedTuple):
         return self.groups if poses is None else [_placed(*each) for each in zip(self.groups, poses, strict=True)]
 
     def in_degrees(self, gradient: Sequence[LightPose]) -> Float[HostArray, " m"]:
-        """Converts the gradient with respect to the numbers into one with respect to degrees; 0 for numbers that
-        stay."""
+        """Converts the gradient with respect to the numbers into the gradient with respect to degrees; 0 for fixed
+        numbers."""
         parts = [np.stack([np.asarray(leaf, float) for leaf in jax.tree.leaves(pose)], axis=-1) for pose in gradient]
         return self._flat([part * length for part, length in zip(parts, self.lengths, strict=True)])
 
     def moved(self, numbers: Float[HostArray, " m"], degrees: Float[HostArray, " m"]) -> Float[HostArray, " m"]:
-        """The numbers after so many degrees."""
+        """The numbers after these changes in degrees."""
         return numbers + degrees * self._flat(self.lengths)
 
     def greatest(self, values: Float[HostArray, " m"]) -> Float[HostArray, " m"]:
-        """The greatest value of each light, at each of its numbers."""
+        """The maximum value of each light, at each of its numbers."""
         spread = [
             np.broadcast_to(part.max(axis=1, keepdims=True, initial=0), part.shape) for part in self._parts(values)
         ]
@@ -100,7 +100,7 @@ class MovingLights(NamedTuple):
 
 
 def _degrees(pose: LightPose, middle: Float[HostArray, "3"]) -> list[Float[HostArray, " n"]]:
-    """How much each number of lights' poses, in their order, changes in a degree. Sizes stay."""
+    """The change per degree of each number of the lights' poses, in order. Sizes are fixed."""
     units = []
     if pose.position is not None:
         places = np.stack([np.asarray(each) for each in (pose.position.x, pose.position.y, pose.position.z)], axis=-1)

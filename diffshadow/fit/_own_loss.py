@@ -1,4 +1,4 @@
-"""Losses of users: any function of images in place of mean square errors."""
+"""Users' losses: any function of images instead of mean square errors."""
 
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
@@ -21,9 +21,9 @@ _EXPECTED = (
 
 
 class Seen(NamedTuple):
-    """The images that a loss compares: one (h, w), or several of one size (n, h, w).
+    """The images that a loss compares: one image (h, w), or several images of one size (n, h, w).
 
-    - `predicted`: where no pixel counts, it is the reference.
+    - `predicted`: equals the reference at pixels that do not count.
     - `mask`: the pixels that count.
     """
 
@@ -35,17 +35,18 @@ class Seen(NamedTuple):
     def of(
         cls, image: Float[Array, "*n h w"], reference: Float[Array, "*n h w"], mask: Bool[Array, "*n h w"]
     ) -> "Seen":
-        """One image or several. Outside the mask, an image may hold any number; the reference replaces it there."""
+        """One image or several. Outside the mask, the reference replaces the predicted image, which may have any value
+        there."""
         return cls(jnp.where(mask, image, reference), reference, mask)
 
 
 class OwnLoss(eqx.Module):
-    """A user's loss: the mean, over all images, of the result of `function`.
+    """A user's loss: the mean of `function` over all images.
 
-    - `function`: any callable, such as a function or an `equinox.Module`, whose arrays are arguments of compiled
-        programs.
+    - `function`: any callable, such as a function or an `equinox.Module`. The arrays of a module are arguments of
+      compiled programs.
     - `is_scalar`: whether it returns a number, 0 or more. Otherwise it returns an array of residuals, whose squares are
-        summed.
+      summed.
     """
 
     function: LossFunction
@@ -53,7 +54,7 @@ class OwnLoss(eqx.Module):
 
     @classmethod
     def of(cls, function: Any, shapes: Iterable[tuple[int, ...]]) -> "OwnLoss":
-        """The loss of images of these `shapes`, (h, w), for which `function` is traced.
+        """The loss of images of these `shapes`, (h, w). `function` is traced for them.
 
         **Raises** `TypeError` if it is not a function of three images, or does not return a valid loss.
         """
@@ -73,7 +74,7 @@ class OwnLoss(eqx.Module):
         return cls(function, kinds.pop())
 
     def rows(self, images: Seen) -> Float[Array, "n m"]:
-        """The residuals of each image, or its loss, (n, 1). Images are given to the function one by one."""
+        """The residuals of each image, or its loss, (n, 1). The function gets one image at a time."""
         several = Seen(*(each.reshape(-1, *each.shape[-2:]) for each in images))
         one = lambda seen: jnp.ravel(self.function(*seen)).astype(jnp.float32)
         if len(several.mask) == 1:

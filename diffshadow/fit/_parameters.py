@@ -1,4 +1,4 @@
-"""What is fitted: numbers inside a module, named by dotted path and kept within bounds."""
+"""The parameters of a fit: numbers inside a module, named by dotted path, with bounds."""
 
 from collections.abc import Mapping, Sequence
 from functools import reduce
@@ -12,15 +12,15 @@ from jaxtyping import Array, Float, PyTree
 
 from .._arithmetic import as_float, concrete
 
-# A fit starts at least this far inside its bounds, as a fraction of their distance: on a bound itself the change of
-# variables has no slope.
+# A fit starts at least this far inside its bounds, as a fraction of their distance. The change of variables has no
+# slope on a bound.
 _INSET = 0.01
 
 
 class Parameter(eqx.Module):
     """A number to fit.
 
-    - `name`: for results and messages.
+    - `name`: the name in results and messages.
     - `initial`, `lower`, `upper`: its start and its bounds.
     - `unit`: unit of all three, for reports.
     - `path`: dotted path to the number, such as `"filter.radius"`; by default the parameter's name. A path may stop at
@@ -48,11 +48,11 @@ class Parameter(eqx.Module):
 
     @property
     def where(self) -> str:
-        """The dotted path to it."""
+        """The dotted path of the number."""
         return self.name if self.path is None else self.path
 
     def counted(self) -> "Parameter":
-        """The parameter with all values counted from its offset, in double precision."""
+        """The parameter with all values relative to its offset, in double precision."""
         initial, lower, upper = (value - self.offset for value in (self.initial, self.lower, self.upper))
         return Parameter(self.name, initial, lower, upper, self.unit, self.path)
 
@@ -69,11 +69,11 @@ class Parameter(eqx.Module):
 
 
 class Parameters(eqx.Module):
-    """The places of the fitted numbers in a subject, their bounds, and the smooth map from all real numbers onto the
+    """The positions of the fitted numbers in a subject, their bounds, and the smooth map from all real numbers to the
     bounds.
 
-    With `x = lower + (upper - lower) (1 + sin y) / 2` (James & Roos 1975) every `y` is allowed, and the bounds
-    themselves can be reached. `x` are called values, and `y` free values.
+    With `x = lower + (upper - lower) (1 + sin y) / 2` (James & Roos 1975), every `y` is valid and the bounds themselves
+    can be reached. `x` are called values, and `y` free values.
 
     - `paths`: dotted paths in the subject.
     - `lower`, `upper`: (p,), the bounds.
@@ -91,13 +91,13 @@ class Parameters(eqx.Module):
         return cls(tuple(p.where for p in parameters), lower, upper)
 
     def __getitem__(self, indices: Sequence[int]) -> "Parameters":
-        """Those at `indices`."""
+        """The numbers at `indices`."""
         at = np.asarray(indices, int)
         lower, upper = (as_float(np.asarray(end)[at]) for end in (self.lower, self.upper))
         return Parameters(tuple(self.paths[i] for i in indices), lower, upper)
 
     def put(self, subject: PyTree, values: Float[Array, " p"]) -> PyTree:
-        """`subject` with `values` (p,) in place of its own."""
+        """`subject` with `values` (p,) instead of its own."""
         return with_values(subject, self.paths, values)
 
     def take(self, subject: PyTree) -> Float[Array, " p"]:
@@ -105,12 +105,12 @@ class Parameters(eqx.Module):
         return jnp.stack([resolve(subject, path) for path in self.paths])
 
     def fraction(self, y: Float[Array, " p"]) -> Float[Array, " p"]:
-        """How far the free values `y` are from the lower bounds towards the upper, in [0, 1]."""
+        """The positions of the free values `y` between the lower and the upper bounds, in [0, 1]."""
         return (1 + jnp.sin(y)) / 2
 
     def at(self, fraction: Float[Array, "*n p"]) -> Float[Array, "*n p"]:
-        """The values that lie this far between the bounds."""
-        # Rounding may carry the sum past the upper bound.
+        """The values at these positions between the bounds."""
+        # Rounding may move the sum beyond the upper bound.
         return jnp.minimum(self.lower + (self.upper - self.lower) * fraction, self.upper)
 
     @eqx.filter_jit
@@ -126,16 +126,16 @@ class Parameters(eqx.Module):
 
 
 def with_parameters(module: PyTree, parameters: Sequence[Parameter], values: Sequence[float]) -> PyTree:
-    """`module` with `values` (p,) of `parameters` in place of its own numbers."""
+    """`module` with `values` (p,) of `parameters` instead of its own numbers."""
     counted = [value - p.offset for p, value in zip(parameters, values, strict=True)]
     return with_values(module, [p.where for p in parameters], as_float(counted))
 
 
 def resolve(module: PyTree, name: str) -> Any:
-    """The leaf of `module` that the dotted path `name` means.
+    """The leaf of `module` at the dotted path `name`.
 
-    **Raises** `ValueError` if there is no such leaf, if the path stops at a module with several numbers, or if the leaf
-    is not a single number that has a gradient.
+    **Raises** `ValueError` if there is no such leaf, if the path ends at a module with several numbers, or if the leaf
+    is not a single number with a gradient.
     """
     try:
         found = _follow(module, name)
@@ -152,11 +152,11 @@ def resolve(module: PyTree, name: str) -> Any:
 
 
 def parameter_names(module: PyTree) -> list[str]:
-    """Dotted paths of every single number in `module` that could be fitted."""
+    """The dotted paths of all single numbers in `module` that can be fitted."""
     paths = jax.tree_util.tree_leaves_with_path(eqx.filter(module, eqx.is_inexact_array))
     names = [".".join(map(_key, path)) for path, leaf in paths if leaf.ndim == 0]
     holders = [name.rpartition(".")[0] for name in names]
-    # A module that holds one number goes by its own name.
+    # A module with one number goes by its own name.
     return [
         name.removesuffix(".value") if holders.count(holder) == 1 else name
         for name, holder in zip(names, holders, strict=True)
@@ -164,7 +164,7 @@ def parameter_names(module: PyTree) -> list[str]:
 
 
 def _follow(module: PyTree, name: str) -> Any:
-    """What the dotted path `name` leads to: fields by name, entries of sequences and mappings by their keys."""
+    """The object at the dotted path `name`: fields by name, entries of sequences and mappings by their keys."""
     return reduce(_step, name.split("."), module)
 
 
@@ -175,7 +175,7 @@ def _step(holder: Any, key: str) -> Any:
 
 
 def _key(entry: Any) -> str:
-    """One step of a path of `jax.tree_util`, as a dotted path has it."""
+    """One step of a path of `jax.tree_util`, as in a dotted path."""
     return str(next(getattr(entry, kind) for kind in ("name", "key", "idx") if hasattr(entry, kind)))
 
 
@@ -196,7 +196,7 @@ def with_values(module: PyTree, names: Sequence[str], values: Float[Array, " p"]
     for name in names:
         resolve(module, name)
     where = lambda module: [jax.tree.leaves(_follow(module, name))[0] for name in names]
-    # Of known values, in NumPy: an index would be compiled.
+    # Known values stay in NumPy, because JAX would compile an index.
     known = concrete(values)
     each = values if known is None else known
     return eqx.tree_at(where, module, [as_float(each[k]) for k in range(len(names))])

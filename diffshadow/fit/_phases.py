@@ -5,14 +5,14 @@ of a joint problem. It has one width of the soft compare, in texels (0 for the h
 problem's images, in pixels.
 
 The hard compare has no gradient with respect to bias, so the fit of a technique runs under a soft compare whose width
-shrinks geometrically from phase to phase. Where lights or meshes move, phases run under the hard compare, since
-silhouettes have derivatives whatever the compare; only a bias that is fitted as well needs the soft one, at the end.
-They compare images under a blur that shrinks: a wide one sees further, and a narrow one is more accurate.
+shrinks geometrically from phase to phase. If lights or meshes move, phases run under the hard compare, because
+silhouettes have derivatives under any compare. Only a fitted bias needs the soft compare, at the end. These phases
+compare images under a shrinking blur: a wide blur has a larger range, and a narrow blur is more accurate.
 
-The error has no useful derivative with respect to numbers that lay out the map, such as the spacing of cascades. They
-are found by a search under the hard compare. It goes over all parameters, since the best layout depends on the others
-and these on it. The others are then fitted by gradient. A shorter search for the layout alone follows, about the
-result, and the last phase once more.
+The error has no useful derivative with respect to numbers that lay out the map, such as the spacing of cascades. A
+search under the hard compare finds these numbers. It covers all parameters, because the best layout depends on the
+other parameters and they depend on the layout. The others are then fitted by gradient. A shorter search for the layout
+alone follows around the result, and then the last phase is repeated.
 """
 
 import dataclasses
@@ -31,11 +31,11 @@ from .solvers import Stop
 
 # Numbers of a technique whose gradient does not need a soft compare.
 _GEOMETRIC = ("radius", "light_size", "min_radius")
-# The part of the bounds in which the second search looks.
+# The fraction of the bounds for the second search.
 _REFINED = 0.25
 
-# A step of the first phases that is shorter changes a value by less than a two-hundredth of its bounds' distance, which
-# is nothing under their blur.
+# A shorter step of the first phases changes a value by less than a two-hundredth of its bounds' distance, which has no
+# effect under their blur.
 _ROUGHLY = 0.01
 
 _ALL = 1 << 62
@@ -48,9 +48,9 @@ class Phase(NamedTuple):
     - `active`: the indices of the parameters that it changes.
     - `width`: width of its soft compare in texels; 0 for the hard compare.
     - `shared`: whether all starts run the phase, or only the best start.
-    - `stop`: when its solver ends, in addition to its tolerances.
-    - `searched`: the part of the bounds that it searches, around the values so far; 0 for a phase by gradient.
-    - `pixels`: the most pixels that a step evaluates, in a fit of a technique.
+    - `stop`: additional conditions for the end of its solver.
+    - `searched`: the fraction of the bounds that it searches around the current values; 0 for a phase by gradient.
+    - `pixels`: the maximum number of pixels in a step, in a fit of a technique.
     """
 
     joint: Joint
@@ -63,17 +63,17 @@ class Phase(NamedTuple):
 
     @property
     def program(self) -> tuple[object, ...]:
-        """What identifies its compiled program among all programs of the fit."""
+        """The key of its compiled program among all programs of the fit."""
         return self.active, self.width > 0, self.pixels
 
     @property
     def blurs(self) -> tuple[float, ...]:
-        """The standard deviation, in pixels, of the blur under which it compares each image."""
+        """The standard deviation of each image's blur, in pixels."""
         each = self.joint.problems
         return tuple(problem.blur_in_pixels for problem in each for _ in range(np.size(problem.count)))
 
     def with_memory_of(self, joint: Joint) -> "Phase":
-        """The same phase, with as much memory for silhouettes as the problems of `joint` have."""
+        """This phase, with memory for as many silhouettes as in the problems of `joint`."""
         grown = tuple(own.with_memory_of(like) for own, like in zip(self.joint.problems, joint.problems, strict=True))
         return self._replace(joint=dataclasses.replace(self.joint, problems=grown))
 
@@ -81,9 +81,9 @@ class Phase(NamedTuple):
 def phases_of(
     joint: Joint, paths: Sequence[str], anneal: Anneal, blurs: Sequence[float] | None, pixels: int
 ) -> list[Phase]:
-    """The phases of a fit of the numbers at `paths`. Their steps evaluate about `pixels` pixels at most.
+    """The phases of a fit of the numbers at `paths`. Their steps evaluate at most about `pixels` pixels.
 
-    **Raises** `ValueError` if the blurs do not suit the problems, or a number lays out maps while lights or meshes
+    **Raises** `ValueError` if the blurs do not suit the problems, or if a number lays out maps while lights or meshes
     move.
     """
     searched = tuple(i for i, path in enumerate(paths) if joint.searched(path))
@@ -119,7 +119,7 @@ def _phases_of_poses(
         last = annealed
     else:
         last = [Phase(joint.hard(), tuple(range(len(paths))), 0.0)]
-    # Without first phases, there is nothing by which to choose between several starts.
+    # Without first phases, there is no basis for a choice between several starts.
     last = [phase._replace(joint=_blurred(phase.joint, narrow), shared=not first) for phase in last]
     return [*first, *last, last[-1]._replace(joint=last[-1].joint.each(lambda p: p.sharpest))]
 
@@ -129,7 +129,7 @@ def _blurred(joint: Joint, blur: float) -> Joint:
 
 
 def enlarged(joint: Joint, parameters: Parameters, values: Float[Array, "k p"]) -> Joint:
-    """The same phases, with memory for several times the silhouettes at each row of `values` (k, p)."""
+    """The phases, with memory for several times the silhouettes at each row of `values` (k, p)."""
 
     def grown(problem: ArrangedProblem) -> ArrangedProblem:
         for there in values:

@@ -1,4 +1,4 @@
-"""How well an image determines what was fitted to it."""
+"""The precision of fitted values: how well an image determines them."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -12,31 +12,31 @@ from .._arithmetic import as_float
 from .._types import HostArray
 from .problems import REACH_OF_BLUR, Joint
 
-# A combination of parameters is undetermined if it changes the image by less than this fraction of what the best one
-# does, or if its standard deviation is more than this fraction of the distance between its bounds.
+# A combination of parameters is undetermined if it changes the image by less than this fraction of the best
+# combination's change, or if its standard deviation exceeds this fraction of the distance between its bounds.
 _MIN_EFFECT = 1e-3
 _MAX_SPREAD = 0.1
 # A parameter belongs to a combination if its component is at least this fraction of the largest.
 _PART = 0.3
-# The distance within which residuals are correlated, in standard deviations of the blur: it covers a texel, and all
-# pixels that see a texel have its error of the outline.
+# The distance within which residuals are correlated, in standard deviations of the blur. It covers a texel, because all
+# pixels of a texel share its error of the outline.
 _CORRELATED = 4
 
 
-# Where the grid of texels lies for the other drawings, in texels. With the grid in its place, these are the points of a
-# lattice that has each of five fractions of a texel once along either axis.
+# The shifts of the grid of texels for the other drawings, in texels. With the unshifted grid, they form a lattice with
+# each of five fractions of a texel once along either axis.
 _SHIFTS = ((0.2, 0.4), (0.4, -0.2), (-0.4, 0.2), (-0.2, -0.4))
 
 
 class Precision(NamedTuple):
     """The covariance of fitted values, to first order, from the Jacobian at the end of the phase that was chosen.
 
-    With `r` the pixels' residuals, `J` their derivatives and `B` the blur under which they are compared, the error of a
-    least-squares fit is (JᵀB²J)⁻¹ JᵀB² r. Residuals are errors of the model far more than noise of the reference. The
-    covariance is the sum of three parts.
+    Let `r` be the pixels' residuals, `J` their derivatives and `B` the blur under which they are compared. The error of
+    a least-squares fit is (JᵀB²J)⁻¹ JᵀB² r. Errors of the model dominate the residuals; the noise of the reference is
+    far smaller. The covariance is the sum of three parts.
 
     *The scatter of the residuals.* This is the sandwich (JᵀB²J)⁻¹ S (JᵀB²J)⁻¹ with S the covariance of the score
-    g = Σᵢ sᵢ, sᵢ = (B²J)ᵢ rᵢ. A texel moves an outline equally for all pixels that see it, so that neighbours are
+    g = Σᵢ sᵢ, sᵢ = (B²J)ᵢ rᵢ. A texel moves an outline equally for all pixels that see it, so neighbours are
     correlated. S is therefore the estimate of Conley, "GMM estimation with cross sectional dependence", Journal of
     Econometrics 92 (1999),
 
@@ -47,16 +47,16 @@ class Precision(NamedTuple):
     blur, this is the estimate of White, "A heteroskedasticity-consistent covariance matrix estimator", Econometrica 48
     (1980).
 
-    *The remaining step.* Where pixels jump from lit to shadowed as poses move, a fit ends near the minimum rather than
-    at it. The square δδᵀ of the step δ = -(JᵀB²J)⁻¹ g is an estimate of that error.
+    *The remaining step.* Pixels jump from lit to shadowed as poses move, so a fit ends near the minimum rather than at
+    it. The square δδᵀ of the step δ = -(JᵀB²J)⁻¹ g is an estimate of that error.
 
     *Other grids of texels.* The position of the map's texels is arbitrary, and a caster as thin as a texel looks
-    different on every grid. At the end of a fit of lights or meshes, maps are therefore drawn again with the grid moved
-    by a part of a texel, to K = 4 places. Grid k has the residuals rₖ and the step δₖ = -(JᵀB²J)⁻¹ JᵀB² rₖ: how far
-    away, to first order, the fit would have ended on that grid. The mean (1/K) Σₖ δₖ δₖᵀ is the third part.
+    different on every grid. At the end of a fit of lights or meshes, maps are therefore drawn again with K = 4 grids
+    that are shifted by a fraction of a texel. Grid k has the residuals rₖ and the step δₖ = -(JᵀB²J)⁻¹ JᵀB² rₖ. To
+    first order, the fit would have ended at this distance on that grid. The mean (1/K) Σₖ δₖ δₖᵀ is the third part.
 
-    The third part is missing in fits of a technique alone, which draw no map again. The third part is δδᵀ for maps
-    without a regular grid of texels: warped maps, and maps with pages or with cascades of several sizes. Deviations for
+    Fits of a technique alone do not draw maps again, so they lack the third part. Maps without a regular grid of texels
+    use δδᵀ as the third part: warped maps, and maps with pages or with cascades of several sizes. Deviations for
     casters thinner than a texel are then too small.
 
     - `names`: the parameters whose gradient is not zero throughout.
@@ -74,21 +74,21 @@ class Precision(NamedTuple):
 def on_grids(
     joint: Joint, own: Sequence[Float[Array | HostArray, "..."]], roots: Float[HostArray, " v"]
 ) -> list[Float[HostArray, "k _ _"]]:
-    """The differences at the end of a phase, (k, h, w) for each image: first with the maps' texels in their places, and
-    then, in fits of lights or meshes, with the texels moved.
+    """The differences at the end of a phase, (k, h, w) for each image: first with the maps' own grids of texels and
+    then, in fits of lights or meshes, with shifted grids.
 
     **Arguments:**
 
     - `joint`: the joint problem of the phase, with the values at its end.
-    - `own`: its differences with the texels in their places, with the loss's weights.
+    - `own`: its differences with the maps' own grids, with the loss's weights.
     - `roots`: (v,), roots of these weights.
     """
     grids = [_each_image(own)]
     for shift in _SHIFTS if joint.moves else ():
-        # Not as one program: its parts share theirs with all else that is drawn.
+        # Not one program, because its parts share the programs of all other drawings.
         moved = joint.each(lambda problem, shift=shift: dataclasses.replace(problem, shift=as_float(shift)))
         differences, overflow = moved.differences(moved.subject)
-        # Where silhouettes exceed their memory on another grid, the estimate does without it.
+        # If silhouettes exceed their memory on another grid, the estimate omits that grid.
         if not overflow:
             grids.append([image * root for image, root in zip(_each_image(differences), roots, strict=True)])
     return [np.stack(images) for images in zip(*grids, strict=True)]
@@ -110,12 +110,12 @@ def precision_of(
 
     **Arguments:**
 
-    - `differences`: (k, h, w), the residuals of each image before they are blurred: first on the map's own grid, and
-        then on any other ones.
-    - `slopes`: (p, h, w), their derivatives with respect to each parameter's fraction of the distance `span` (p,)
-        between its bounds.
+    - `differences`: (k, h, w), the residuals of each image before the blur: first on the map's own grid, and then on
+      any other grids.
+    - `slopes`: (p, h, w), their derivatives with respect to each parameter as a fraction of the distance `span` (p,)
+      between its bounds.
     - `blurs`: standard deviation, in pixels, of the Gaussian under which each image is compared; 0 for none.
-    - `channels`: how many images in a row are the channels of one picture, whose residuals are correlated.
+    - `channels`: the number of consecutive images that are the channels of one picture. Their residuals are correlated.
     """
     images = list(zip(differences, slopes, blurs, strict=True))
     if not all(np.isfinite(difference).all() and np.isfinite(slope).all() for difference, slope, _ in images):
@@ -134,11 +134,12 @@ def precision_of(
         [_root_of_covariance(score, blur) for score, blur in zip(pictures, blurs[::channels], strict=True)], axis=1
     )
     _, effect, ways = np.linalg.svd(np.linalg.qr(columns, mode="r"), full_matrices=False)
-    # Along the principal directions, from the best determined to the worst. Where the residual is 0, the fit is exact.
+    # Along the principal directions, from the best determined to the worst. A fit with zero residuals is exact.
     inverse = 1 / np.maximum(effect, _NO_EFFECT) ** 2
     steps = inverse[:, None] * (ways @ (columns.T @ residuals))
     steps[:, 1:] /= max(steps.shape[1] - 1, 1) ** 0.5
-    # The covariance is the product of this and its transpose: positive, however little a combination does.
+    # The covariance is the product of this and its transpose, so it is positive even if a combination has almost no
+    # effect.
     root = np.column_stack([inverse[:, None] * (ways @ scatter), steps])
     lost = (effect < _MIN_EFFECT * effect[0]) | (np.linalg.norm(root, axis=1) > _MAX_SPREAD)
     undetermined = []
@@ -154,7 +155,7 @@ def precision_of(
     return Precision(kept, deviations, np.clip(correlation, -1, 1).tolist(), undetermined)
 
 
-# Effects below this count as this: the squares of their inverses are finite.
+# Smaller effects are raised to this value, so that the squares of their inverses are finite.
 _NO_EFFECT = 1e-50
 
 
@@ -164,9 +165,9 @@ def _blurred(images: Float[HostArray, "n h w"], deviation: float) -> Float[HostA
 
 
 def _root_of_covariance(scores: Float[HostArray, "p h w"], blur: float) -> Float[HostArray, "p n"]:
-    """R with R Rᵀ the covariance of the sum of `scores` over all pixels, where neighbours are correlated."""
+    """A matrix R, where R Rᵀ is the covariance of the sum of `scores` over all pixels with correlated neighbours."""
     side = max(1, round(_CORRELATED * blur))
-    # Sums over every square of `side` x `side` pixels that meets the image, as differences of running sums.
+    # Sums over every square of `side` x `side` pixels that overlaps the image, as differences of running sums.
     padded = np.pad(scores, ((0, 0), (side, side - 1), (side, side - 1)))
     running = padded.cumsum(axis=1).cumsum(axis=2)
     rows = running[:, side:] - running[:, :-side]

@@ -1,4 +1,4 @@
-"""How sure fitted values are: the error along each, with the others fitted again."""
+"""The uncertainty of fitted values: the error along each parameter, with the others fitted again."""
 
 from collections.abc import Callable, Collection, Sequence
 from typing import Literal, NamedTuple
@@ -6,20 +6,21 @@ from typing import Literal, NamedTuple
 from ._parameters import Parameter
 from ._run import Run, Values
 
-# An end of an interval is found when the error there is this close to its limit: a part of the limit's excess, and a
-# part of the best error.
+# An end of an interval is found when the error there is this close to its limit, as a fraction of the limit's excess
+# and as a fraction of the best error.
 _CLOSE, _CLOSE_TO_BEST = 0.1, 2e-3
-# The other parameters are fitted until the loss would fall by less than this part of the excess.
+# The other parameters are fitted until the loss would fall by less than this fraction of the excess.
 _SETTLED = 0.02
-# The most trials for an end, and the part of the bounds below which trials end.
+# The maximum number of trials for an end, and the fraction of the bounds at which trials stop.
 _TRIALS, _NARROW = 16, 1e-4
-# The first trial is at this part of the bounds from the best. Until one is outside, they go further by these factors.
+# The first trial is at this fraction of the bounds from the best. Until a trial is outside, the distance grows by these
+# factors.
 _FIRST, _MIN_GROWTH, _MAX_GROWTH = 0.01, 1.3, 4.0
-# Later ones keep away from those on both sides by this part of their distance.
+# Later trials keep this fraction of the distance to the trials on both sides.
 _MARGIN = 0.1
-# A trial that is better by this fraction becomes the best, and what was found about the old one is dropped.
+# A trial that is better by this fraction becomes the best, and the results for the old best are dropped.
 _BETTER, _RESTARTS = 1e-3, 4
-# Errors below this, in visibility, are rounding.
+# Errors of visibility below this value are rounding errors.
 _MIN_ERROR = 1e-5
 
 Bound = Literal["lower", "upper"]
@@ -42,7 +43,8 @@ class End(NamedTuple):
 class Interval(NamedTuple):
     """The values around the best at which the error is at most `1 + within` times the best.
 
-    It ends where the error first exceeds this limit. The error may jump there, since pixels jump from lit to shadowed.
+    It ends where the error first exceeds this limit. The error may jump there, because pixels jump from lit to
+    shadowed.
     """
 
     within: float
@@ -53,7 +55,7 @@ class Interval(NamedTuple):
 class Profile(NamedTuple):
     """The error along a parameter.
 
-    - `best`: its value where the error is least, and that error.
+    - `best`: the value with the lowest error, and that error.
     - `points`: (value, error) of all trials, in order of their values.
     - `intervals`: from the narrowest to the widest.
     """
@@ -81,14 +83,14 @@ class Trial(NamedTuple):
 
 
 def _limit(best: Trial, fraction: float) -> float:
-    """The greatest error within a `fraction` of the best."""
+    """The maximum error within a `fraction` of the best."""
     return (1 + fraction) * max(best.error, _MIN_ERROR)
 
 
 class Profiler:
     """Follows the error of a finished fit along its parameters.
 
-    - `best`: the trial with the least error so far.
+    - `best`: the trial with the lowest error so far.
     """
 
     def __init__(self, run: Run, parameters: Sequence[Parameter], values: Values):
@@ -104,7 +106,7 @@ class Profiler:
         )
 
     def preferred(self, order: Sequence[tuple[str, Bound]], within: float) -> Trial:
-        """The trial that goes furthest towards the sides in `order`, with an error of at most `1 + within` times the
+        """The trial that goes farthest towards the sides in `order`, with an error of at most `1 + within` times the
         best.
 
         The first parameter goes as far as possible, then the next goes as far as is still possible, and so on.
@@ -121,8 +123,8 @@ class Profiler:
         return self._about_one_best(furthest)
 
     def _about_one_best[Found](self, search: Callable[[], Found]) -> Found:
-        """What `search` finds in a whole round without a better best. After the last restart no trial becomes the best,
-        so that all that is found is about the same one."""
+        """The result of `search` from a whole round that found no better best. After the last restart, no trial becomes
+        the best, so that all results refer to the same best."""
         self._restarts = 0
         while True:
             best = self.best
@@ -151,7 +153,7 @@ class Profiler:
         )
 
     def _furthest(self, start: Trial, index: int, side: Bound, limit: float, kept: Collection[int] = ()) -> Trial:
-        """The trial with an error of at most `limit` that lies furthest to a `side` of `start`, within its interval."""
+        """The trial with an error of at most `limit` that is farthest to a `side` of `start`, within its interval."""
         bound = getattr(self.parameters[index], side)
         span = self.parameters[index].upper - self.parameters[index].lower
         known = [] if kept else self._trials.setdefault((index, side), [])
@@ -171,7 +173,8 @@ class Profiler:
             if outside is not None and distance(outside) - distance(inside) <= _NARROW * span:
                 break
             if outside is not None and len(beyond) > 1 and beyond[-1] == beyond[-2]:
-                # Two trials in a row moved the same end: the error jumps, and interpolation would take many more.
+                # Two consecutive trials moved the same end: the error jumps, and interpolation would take many more
+                # trials.
                 value = (inside.values[index] + outside.values[index]) / 2
             else:
                 value = self._next(start, inside, outside, index, side, limit)
@@ -188,22 +191,22 @@ class Profiler:
         return inside
 
     def _trial(self, near: Trial, index: int, value: float, limit: float, kept: Collection[int]) -> Trial:
-        """The best with the parameter at `value`, from the values of a trial that is near."""
+        """The best trial with the parameter at `value`, starting from the values of a nearby trial."""
         self._count += 1
         self.run.say(f"how sure, trial {self._count}: {self.parameters[index].name} = {value:.4g}")
         moved = (*near.values[:index], value, *near.values[index + 1 :])
         tolerance = limit / max(self.best.error, _MIN_ERROR) - 1
         again = self.run.refitted(moved, (*kept, index), least_gain=_SETTLED * tolerance)
-        # Not rounded to single precision, so that a bound is met exactly.
+        # Not rounded to single precision, so that a bound is reached exactly.
         again = (*again[:index], value, *again[index + 1 :])
         trial = Trial(again, self.run.error(again))
         if trial.error <= limit or again == moved:
             return trial
-        # What is fitted under a soft compare may be worse under the hard one.
+        # A result under a soft compare may be worse under the hard compare.
         return min(trial, Trial(moved, self.run.error(moved)), key=lambda trial: trial.error)
 
     def _next(self, start: Trial, inside: Trial, outside: Trial | None, index: int, side: Bound, limit: float) -> float:
-        """The value to try: where a parabola about `start` has an error as close to `limit` as is needed."""
+        """The next value: where a parabola around `start` has an error close enough to `limit`."""
         parameter, here = self.parameters[index], start.values[index]
         known = inside if outside is None else outside
         far, excess = known.values[index] - here, known.error**2 - self.best.error**2
@@ -224,7 +227,7 @@ class Profiler:
         return min(max(value, parameter.lower), parameter.upper)
 
     def _tolerance(self, limit: float) -> float:
-        """How close to `limit` the error at an end is."""
+        """The distance between the error at an end and `limit`."""
         return min(_CLOSE * (limit - self.best.error), _CLOSE_TO_BEST * max(self.best.error, _MIN_ERROR))
 
     def _restart(self, better: Trial) -> None:

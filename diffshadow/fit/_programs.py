@@ -1,4 +1,4 @@
-"""Compiled programs, shared by the fits of a process that differ in nothing but numbers."""
+"""Compiled programs. Fits in a process share them if they differ only in numbers."""
 
 import contextlib
 import gc
@@ -15,10 +15,10 @@ _PROGRAMS: OrderedDict[Any, Any] = OrderedDict()
 
 
 def compiled(function: Any, arguments: tuple[Any, ...]) -> Any:
-    """The program that `eqx.filter_jit` compiles from `function` for arguments of these shapes, types and static
+    """The program that `eqx.filter_jit` compiles from `function` for arguments with these shapes, types and static
     fields.
 
-    The programs used last are kept.
+    The most recently used programs are kept.
     """
     leaves, tree = jax.tree.flatten(arguments)
     key = id(function), tree, tuple(map(_kind, leaves))
@@ -35,8 +35,8 @@ def compiled(function: Any, arguments: tuple[Any, ...]) -> Any:
 
 @contextlib.contextmanager
 def _uncollected() -> Iterator[None]:
-    """Pauses the garbage collector. Nearly all of the objects that tracing makes stay, and searching through them again
-    and again would take a fifth of its time."""
+    """Pauses the garbage collector. Nearly all objects that tracing makes stay. Repeated searches through them would
+    take a fifth of the time."""
     was_enabled = gc.isenabled()
     gc.disable()
     try:
@@ -47,7 +47,7 @@ def _uncollected() -> Iterator[None]:
 
 
 def _kind(leaf: Any) -> Any:
-    """What a program depends on: of an array its shape and type, and all of anything else."""
+    """The key of a program: shape and type for an array, and the value for anything else."""
     if hasattr(leaf, "shape") and hasattr(leaf, "dtype"):
         return leaf.shape, str(leaf.dtype), getattr(leaf, "weak_type", False)
     return type(leaf), leaf

@@ -1,7 +1,7 @@
 """Regularisers of a mesh that is fitted to noisy images: penalties on folds and on long edges.
 
-They are those of PyTorch3D's `mesh_normal_consistency` and `mesh_edge_loss` (Ravi et al. 2020), which follow Desbrun et
-al. ("Implicit Fairing of Irregular Meshes using Diffusion and Curvature Flow", SIGGRAPH 1999) and Wang et al.
+They match PyTorch3D's `mesh_normal_consistency` and `mesh_edge_loss` (Ravi et al. 2020), which follow Desbrun et al.
+("Implicit Fairing of Irregular Meshes using Diffusion and Curvature Flow", SIGGRAPH 1999) and Wang et al.
 ("Pixel2Mesh", ECCV 2018). They run on the host, in closed form, and compile nothing.
 """
 
@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 
 from .._types import HostArray
 
-# Faces with less than this of the mesh's mean area have no normal.
+# Faces below this fraction of the mesh's mean area have no normal.
 _LEAST_AREA = 1e-9
 
 
@@ -37,7 +37,7 @@ class Regularizers:
         first = (np.cumsum(count) - count)[count == 2]
         pairs = order[np.stack([first, first + 1])]
         self._pairs = pairs // 3
-        # Two faces that are wound alike run along their edge in opposite directions.
+        # Two faces with the same winding traverse their common edge in opposite directions.
         alike = (halves[pairs[0], 0] == halves[pairs[1], 1]) & (halves[pairs[0], 0] != halves[pairs[0], 1])
         self._signs = np.where(alike, 1.0, -1.0)
         self._squares = float(np.mean(np.sum(self._sides(vertices) ** 2, axis=1)))
@@ -78,6 +78,6 @@ class Regularizers:
 
 
 def _summed(count: int, index: Int[HostArray, "n k"], values: Float[HostArray, "n k 3"]) -> Float[HostArray, "count 3"]:
-    """For each of `count` numbers, the sum of the values whose index it is."""
+    """For each of `count` numbers, the sum of the values with its index."""
     flat = index.reshape(-1)
     return np.stack([np.bincount(flat, values[..., axis].reshape(-1), count) for axis in range(3)], axis=1)

@@ -1,4 +1,4 @@
-"""The course of a fit: its starts, its phases, and the memory for silhouettes that they need."""
+"""The course of a fit: its starts, its phases, and their memory for silhouettes."""
 
 import dataclasses
 import time
@@ -25,17 +25,17 @@ from ._solve import Solution, solve
 from .problems import on_host
 from .solvers import Solver, Stop
 
-# How often a phase may be given memory for more silhouettes.
+# The maximum number of times that a phase gets memory for more silhouettes.
 _ENLARGEMENTS = 6
 _NEVER_ENOUGH = (
-    f"there are too many silhouettes for the memory planned, after {_ENLARGEMENTS} enlargements; expected their number "
-    "to settle: narrow the bounds of what moves"
+    f"there are too many silhouettes for the memory planned, after {_ENLARGEMENTS} enlargements; expected a stable "
+    "number: narrow the bounds of the moving objects"
 )
 # Mean square errors below this count as 0.
 _MIN_LOSS = 1e-10
-# The token of no reporter.
+# The token for no reporter.
 _UNHEARD = -1
-# The error of layouts that do not suit the scene: visibility cannot be wrong by more than 1.
+# The error of layouts that do not suit the scene, because visibility cannot be wrong by more than 1.
 _UNSUITABLE = 1.0
 
 Values = tuple[float, ...]
@@ -43,19 +43,18 @@ Values = tuple[float, ...]
 
 
 class Outcome(NamedTuple):
-    """How a phase ended.
+    """The end of a phase.
 
     - `width`: width of its soft compare, in texels; 0 for the hard compare.
     - `steps`: number of solver steps.
     - `result`: `"successful"`, `"max_steps reached"`, or the solver's error.
-    - `gradient_norm`: norm of the gradient of the soft mean square error with respect to the parameters over their
-        bounds' distance; 0 for a search.
+    - `gradient_norm`: norm of the gradient of the soft mean square error with respect to the parameters as fractions of
+      their bounds' distance; 0 for a search.
     - `hard_loss`: the mean square error under the hard compare at the phase's end, of whole differences; `values`: the
-        parameters there.
-    - `blur`: the standard deviation, in pixels, of the Gaussian under which images were compared; 0 where nothing
-        moves.
-    - `searched`: the part of the bounds in which it searched for numbers without a derivative; 0 for a phase by
-        gradient. Its steps are evaluations of the error.
+      parameters there.
+    - `blur`: the standard deviation, in pixels, of the Gaussian under which images were compared; 0 if nothing moves.
+    - `searched`: the fraction of the bounds in which it searched for numbers without a derivative; 0 for a phase by
+      gradient. The steps of a search are evaluations of the error.
     """
 
     width: float
@@ -72,7 +71,7 @@ class Start(NamedTuple):
     """One of several starts.
 
     - `initial`: its values; `end`: the values after the phases that all starts run.
-    - `loss`: at `end`, the mean square of the compared differences under the hard compare at full resolution.
+    - `loss`: the mean square of the compared differences at `end`, under the hard compare at full resolution.
     """
 
     initial: tuple[float, ...]
@@ -83,7 +82,7 @@ class Start(NamedTuple):
 class Trajectory(NamedTuple):
     """The course of one start: free values, values and the judge's losses at the start and after each phase.
 
-    `ends` are the phases so far and their solutions; a search has no solution.
+    `ends` are the phases so far and their solutions. A search has no solution.
     """
 
     free: list[Float[Array, " p"]]
@@ -93,9 +92,9 @@ class Trajectory(NamedTuple):
     ends: list[tuple[Phase, Solution | None]]
 
     def chosen(self, noise: float) -> int:
-        """The index of the best values: the last values whose loss exceeds the least loss by at most this fraction.
+        """The index of the best values: the last values whose loss exceeds the lowest loss by at most this fraction.
 
-        Differences within the noise carry no information; among such values, a later phase has the smaller gradient.
+        Differences within the noise carry no information. Among such values, a later phase has the smaller gradient.
         """
         if not noise:
             return int(np.argmin(self.losses))
@@ -105,12 +104,12 @@ class Trajectory(NamedTuple):
 class Run:
     """A fit in progress.
 
-    - `given`: what is fitted. All values in a run are counted from its offsets.
-    - `judge`: sees the start and the end of every phase, and the best of these is the result.
-    - `phases`: whose memory for silhouettes may grow.
-    - `evaluations`: how often a search evaluates the error, for each parameter.
+    - `given`: the fitted parameters. All values in a run are relative to their offsets.
+    - `judge`: evaluates the start and the end of every phase. The best of these is the result.
+    - `phases`: the phases. Their memory for silhouettes may grow.
+    - `evaluations`: the number of error evaluations of a search, for each parameter.
     - `history`: every evaluation so far, in order.
-    - `update`: called with what the fit is doing, and the fraction done.
+    - `update`: called with the current activity of the fit, and the finished fraction.
     """
 
     update: Update | None = None
@@ -137,11 +136,11 @@ class Run:
         self._programs: dict[Any, dict[Any, Any]] = {}
 
     def with_offsets(self, values: Values) -> Values:
-        """`values` (p,) as the parameters were given, rather than counted from their offsets."""
+        """`values` (p,) in the coordinates of the parameters, with their offsets."""
         return tuple(value + p.offset if p.offset else value for value, p in zip(values, self.given, strict=True))
 
     def say(self, detail: str) -> None:
-        """Reports what the fit is doing, apart from its steps."""
+        """Reports the activity of the fit, apart from its steps."""
         if self.update is not None:
             self.update(detail, None)
 
@@ -159,8 +158,8 @@ class Run:
         return self._along(rest, paths[best]), tried if len(spread) > 1 else []
 
     def precision(self, path: Trajectory, chosen: int) -> Precision | None:
-        """How well the chosen phase determines what it fitted; none for a search, for a user's loss, or if the start
-        was better than all phases."""
+        """The precision of the chosen phase's values. `None` for a search, for a user's loss, or if the start was
+        better than all phases."""
         phase, solution = path.ends[chosen] if chosen >= 0 else (None, None)
         if phase is None or solution is None or phase.joint.own is not None:
             return None
@@ -198,12 +197,12 @@ class Run:
         return path
 
     def _continued(self, number: int, path: Trajectory) -> Trajectory:
-        """`path`, and one phase more from its end."""
+        """`path`, followed by one more phase from its end."""
         if self.phases[number].searched:
             return self._searched(number, path)
         phase, free = self.phases[number], path.free[-1]
         active = np.asarray(phase.active)
-        # Relative residuals, so that the solver's tolerances mean the same whatever the size of the errors.
+        # Relative residuals, so that the solver's tolerances mean the same for any size of the errors.
         scale = 1 / np.sqrt(max(path.losses[-1], _MIN_LOSS)) if phase.joint.moves else 1.0
         self.reporter.begin(number, phase.width, np.asarray(free), active, scale)
         solution = self._solution(number, free, as_float(path.values[-1]), scale)
@@ -222,7 +221,7 @@ class Run:
         )
 
     def _searched(self, number: int, path: Trajectory) -> Trajectory:
-        """`path`, and a search from its end."""
+        """`path`, followed by a search from its end."""
         phase, free, values = self.phases[number], path.free[-1], as_float(path.values[-1])
         active = np.asarray(phase.active)
         at, on_host = self.parameters[phase.active], lambda array: np.asarray(array, np.float64)
@@ -233,7 +232,7 @@ class Run:
             try:
                 loss, _ = self._judged(at_tried)
             except ValueError:
-                # Within the bounds, but for example distances that do not increase.
+                # Values within the bounds that are invalid together, for example distances that do not increase.
                 loss = _UNSUITABLE
             self.reporter.record(loss, tuple(at_tried.tolist()))
             return loss
@@ -258,7 +257,7 @@ class Run:
         )
 
     def refitted(self, values: Values, kept: Collection[int], *, ratio: float = 1.0, least_gain: float = 0.0) -> Values:
-        """The end of the last phase if it starts at `values`; the values at the indices `kept` stay.
+        """The end of the last phase if it starts at `values`. The values at the indices `kept` do not change.
 
         **Arguments:** `ratio`: as for `Loss.reweighted`; `least_gain`: as for `Stop`.
         """
@@ -270,7 +269,7 @@ class Run:
         if stays.all():
             return values
         at, now = self.parameters[phase.active], np.asarray(values, np.float32)[active]
-        # What has no room between its bounds stays, and the program is the same.
+        # A value without space between its bounds does not change, and the program is the same.
         lower, upper = (np.where(stays, now, np.asarray(end)) for end in (at.lower, at.upper))
         free = np.where(stays, 0, np.asarray(at.to_free(as_float(now))))
         narrowed = Parameters(at.paths, as_float(lower), as_float(upper))
@@ -281,15 +280,15 @@ class Run:
         return tuple(_replaced(as_float(values), active, narrowed.to_bounded(as_float(found))).tolist())
 
     def error(self, values: Values) -> float:
-        """The root of the judge's loss at `values`; infinite for a layout that does not suit the scene."""
+        """The root of the judge's loss at `values`. Infinite for a layout that does not suit the scene."""
         try:
             return root(self._judged(as_float(values))[0])
         except ValueError:
             return np.inf
 
     def sides(self, values: Values) -> tuple[float, float]:
-        """The roots of the judge's two losses at `values`: false shadow and false light. They are infinite for a layout
-        that does not suit the scene."""
+        """The roots of the judge's two losses at `values`: false shadow and false light. Infinite for a layout that
+        does not suit the scene."""
         try:
             dark, light = self.judge.sides(as_float(values))
         except ValueError:
@@ -297,7 +296,7 @@ class Run:
         return dark**0.5, light**0.5
 
     def rmse(self, values: Values) -> float:
-        """The root mean square error over all pixels under the hard compare, whatever the loss."""
+        """The root mean square error over all pixels under the hard compare, for any loss."""
         return float(self.judge.losses(as_float(values), Loss()).whole) ** 0.5
 
     def _arguments(
@@ -317,7 +316,7 @@ class Run:
         return joint, parameters, as_float(free), self.solver, token, as_float(scale), stop
 
     def _judged(self, values: Float[Array, " p"]) -> tuple[float, float]:
-        """The judge's losses at `values` (p,): of the compared part of the differences, and of all of them."""
+        """The judge's losses at `values` (p,): of the compared part of the differences, and of all differences."""
         for _ in range(_ENLARGEMENTS + 1):
             found = self.judge.losses(values, self.judge.loss)
             if not found.overflow:
@@ -328,8 +327,8 @@ class Run:
         raise ValueError(_NEVER_ENOUGH)
 
     def _solution(self, number: int, free: Float[Array, " p"], values: Float[Array, " p"], scale: float) -> Solution:
-        """What the program of a phase returns from the `free` values of `values`, repeated with memory for more
-        silhouettes until none is missing."""
+        """The result of a phase's program from the `free` values of `values`, repeated with memory for more silhouettes
+        until none is missing."""
         for _ in range(_ENLARGEMENTS + 1):
             phase = self.phases[number]
             active = np.asarray(phase.active)
@@ -342,7 +341,7 @@ class Run:
                 return found
             places = list(dict.fromkeys(self.reporter.overflowed))
             self.enlargements += 1
-            # They have memory for too few silhouettes.
+            # Their memory is too small for all silhouettes.
             self._programs.clear()
             larger = enlarged(phase.joint, self.parameters, as_float(places))
             self.phases = [each.with_memory_of(larger) for each in self.phases]
@@ -350,7 +349,7 @@ class Run:
         raise ValueError(_NEVER_ENOUGH)
 
     def _ran(self, phase: Phase, arguments: tuple[Any, ...]) -> Solution:
-        """What the program of a phase returns for `arguments`. Only images and their derivatives stay on devices."""
+        """The result of a phase's program for `arguments`. Only images and their derivatives stay on devices."""
         found = self._program(phase, arguments)(*arguments)
         numbers = {name: getattr(found, name) for name in ("value", "gradient", "slope", "roots")}
         return found._replace(**on_host(numbers))
@@ -374,14 +373,14 @@ def root(loss: float) -> float:
 def _replaced(
     free: Float[Array, " p"], active: np.ndarray, values: Float[Array | HostArray, " a"]
 ) -> Float[Array, " p"]:
-    # In NumPy, which compiles nothing.
+    # NumPy compiles nothing.
     replaced = np.array(free)
     replaced[active] = values
     return as_float(replaced)
 
 
 def _outcome(solution: Solution, phase: Phase, hard_loss: float, values: Array) -> Outcome:
-    # By their messages: to compare the results themselves would be compiled.
+    # Compared by message, because comparing the results themselves would be compiled.
     message, ends = optx.RESULTS[solution.result], optx.RESULTS
     names = {ends[ends.successful]: "successful", ends[ends.nonlinear_max_steps_reached]: "max_steps reached"}
     result = names.get(message, message)

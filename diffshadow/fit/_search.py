@@ -1,4 +1,4 @@
-"""Bounded searches for numbers with respect to which the error has no derivative."""
+"""Bounded searches for numbers without a derivative of the error."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -12,7 +12,7 @@ Box = Float64[HostArray, " a"]
 
 
 class Least(NamedTuple):
-    """The least error of a search, its place (a,), and how many errors were evaluated."""
+    """The lowest error of a search, its position (a,), and the number of evaluations."""
 
     error: float
     values: Box
@@ -22,17 +22,17 @@ class Least(NamedTuple):
 def search(
     error: Callable[[Box], float], start: Box, lower: Box, upper: Box, evaluations: int, part: float = 1.0
 ) -> Least:
-    """The least error of a search: of about `evaluations` places within the bounds, and `start`.
+    """The lowest error of a search with about `evaluations` points within the bounds, and `start`.
 
-    It is found by DIRECT (Jones, Perttunen & Stuckman 1993; Gablonsky & Kelley 2001), which divides the box into ever
-    smaller ones about its best points. It needs no derivative, and jumps of the error do no harm.
+    The search is DIRECT (Jones, Perttunen & Stuckman 1993; Gablonsky & Kelley 2001), which divides the box into ever
+    smaller boxes around its best points. It needs no derivative, and jumps of the error do no harm.
 
     **Arguments:**
 
     - `start`, `lower`, `upper`: (a,).
-    - `part`: the part of the box around `start` that is searched; 1 for the whole box.
+    - `part`: the fraction of the box around `start` that is searched; 1 for the whole box.
     """
-    from scipy.optimize import direct  # here, since it takes long to load
+    from scipy.optimize import direct  # Imported here, because it is slow to load.
 
     tried: list[tuple[float, Box]] = []
 

@@ -1,8 +1,8 @@
 """Shapes from shadows: fits all vertices of a mesh to images of its shadows.
 
-A phase descends with large steps and Adam. The smoothing λ falls from phase to phase: a strong one finds the rough
-shape, and a weak one lets thin parts and details grow. Between phases, triangles can be split, so that a coarse mesh
-finds the rough shape.
+A phase descends with large steps and Adam. The smoothing λ falls from phase to phase. Strong smoothing finds the rough
+shape, and weak smoothing lets thin parts and details grow. Between phases, triangles can be split, so that a coarse
+mesh finds the rough shape.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,9 +26,9 @@ from .problems._shape import Evaluation, casts_shadow, crossings_for
 _DECAY, _DECAY_OF_SQUARES = 0.9, 0.999
 # The rate at a phase's end, as a fraction of the rate at its start.
 _LAST_RATE = 0.05
-# After so many steps, and at the end of a phase, the surface is mended where it intersects itself.
+# Self-intersections are removed after this many steps, and at the end of a phase.
 _UNTANGLED = 5
-# A view in whose image no pixel is darker than this sees no shadow.
+# A view whose image has no pixel darker than this sees no shadow.
 _UNSHADOWED = 0.999
 
 
@@ -39,17 +39,17 @@ def fit_shape(
     on_step: Callable[[ShapeStep], bool | None] | None = None,
     resume: ShapeState | None = None,
 ) -> FittedShape:
-    """Fits the free vertices of a mesh, so that its shadows become like the references.
+    """Fits the free vertices of a mesh to bring its shadows close to the references.
 
-    It minimises the mean square error of all views by gradient descent in reverse mode, through silhouettes. The ends
-    of phases are judged without a blur, and the best is the result.
+    Gradient descent in reverse mode, through silhouettes, minimises the mean square error of all views. The ends of
+    phases are judged without a blur, and the best is the result.
 
     **Arguments:**
 
-    - `phases`: the phases in their order; λ should fall.
+    - `phases`: the phases in order; λ should fall.
     - `on_step`: called after each step; the fit stops if it returns `True`.
-    - `resume`: a state of an earlier fit of the same problem and phases, from which the fit continues. On a CPU the
-        result has the same bits as without the interruption.
+    - `resume`: a state of an earlier fit of the same problem and phases. The fit continues from it. On a CPU, the
+      result has the same bits as without the interruption.
 
     **Raises** `ValueError` for no phase, a blur too wide for an image, a light that reaches no pixel that counts, a
     start that casts no shadow in a view, or a state of another fit.
@@ -59,9 +59,9 @@ def fit_shape(
 
 
 def check_shape(problem: ShapeProblem, phases: Sequence[ShapePhase] = PHASES) -> None:
-    """Checks what `fit_shape` checks before its first step, and compiles the program of a step only if it must.
+    """Makes the checks of `fit_shape` before its first step. It only compiles the program of a step if necessary.
 
-    **Raises** what that raises.
+    **Raises** the errors of these checks.
     """
     _begun(problem, phases).check()
 
@@ -87,7 +87,7 @@ def _check_blurs(problem: ShapeProblem, phases: Sequence[ShapePhase]) -> None:
 def _means(
     mean: Float[HostArray, "*n"], square: Float[HostArray, "*n"], gradient: Float[HostArray, "*n"]
 ) -> tuple[Float[HostArray, "*n"], Float[HostArray, "*n"]]:
-    """Adam's means of gradients and of their squares after one more."""
+    """Adam's means of gradients and of their squares after one more step."""
     square = _DECAY_OF_SQUARES * square + (1 - _DECAY_OF_SQUARES) * gradient * gradient
     return _DECAY * mean + (1 - _DECAY) * gradient, square
 
@@ -102,9 +102,9 @@ class _Fit:
         self.size = shadow_size(problem.views, middle)
 
     def check(self) -> None:
-        """**Raises** what `begin` raises."""
+        """**Raises** the errors of `begin`."""
         sights = self.program.found_sights()
-        # Rays find the shadow of any start but a very thin one.
+        # Rays find the shadow of any start except a very thin one.
         if not all(map(casts_shadow, [self.problem.mesh] * len(sights), self.problem.views, sights)):
             self.begin()
 
@@ -122,8 +122,8 @@ class _Fit:
         for number, (image, view) in enumerate(zip(self.program.images(found), problem.views, strict=True)):
             if not (image[np.asarray(view.weight) > 0] < _UNSHADOWED).any():
                 raise ValueError(
-                    f"the start casts no shadow in view {number}, so that its vertices have no gradient there; "
-                    "expected some shadow in each view: move or enlarge the start"
+                    f"the start casts no shadow in view {number}, so its vertices have no gradient there; expected a "
+                    "shadow in each view: move or enlarge the start"
                 )
         none = np.zeros((0, 3))
         best = vertices, faces
@@ -148,7 +148,7 @@ class _Fit:
         return self.phases[phase].subdivisions if phase < len(self.phases) else 0
 
     def run(self, state: ShapeState, on_step: Callable[[ShapeStep], bool | None] | None) -> FittedShape:
-        """Goes on from a state to the end, or until `on_step` stops it."""
+        """Continues from a state to the end, or until `on_step` stops the fit."""
         while state.phase < len(self.phases):
             state, stopped = self._phase(state, on_step)
             if stopped:
@@ -172,7 +172,7 @@ class _Fit:
         )
 
     def _phase(self, state: ShapeState, on_step: Callable[[ShapeStep], bool | None] | None) -> tuple[ShapeState, bool]:
-        """The state after the present phase, or where `on_step` stopped it."""
+        """The state after the current phase, or at the step where `on_step` stopped."""
         phase = self.phases[state.phase]
         vertices, faces, free = state.vertices, state.faces, state.free
         if state.step == 0:
@@ -229,14 +229,14 @@ class _Fit:
         found: Evaluation,
         by_penalties: Float[HostArray, "v 3"],
     ) -> ShapeState:
-        """One step of Adam with one scale for all vertices (Nicolet et al. 2021): their gradients keep their relative
-        lengths. Each light has a scale of its own."""
+        """One step of Adam with one scale for all vertices (Nicolet et al. 2021), so that gradients keep their relative
+        lengths. Each light has its own scale."""
         phase, step = self.phases[state.phase], state.step + 1
         gradient = np.asarray(found.gradient, np.float64)[: len(level.start)] + by_penalties
         g = large.gradient_of(self.program.mirrored_gradient(level, gradient))
         mean, square = _means(state.mean, state.square, g)
         falling = (_LAST_RATE + (1 - _LAST_RATE) * (1 + np.cos(np.pi * step / phase.steps)) / 2) / (1 - _DECAY**step)
-        # 1 where nothing has moved yet: the mean is 0 there.
+        # 1 if nothing has moved yet, because the mean is 0 there.
         scale_of = lambda greatest: np.where(greatest > 0, np.sqrt(greatest / (1 - _DECAY_OF_SQUARES**step)), 1)
         u = state.u - phase.rate * self.size * falling * mean / scale_of(square.max())
         state = state._replace(step=step, u=u, mean=mean, square=square)

@@ -1,6 +1,6 @@
-"""What a fit of a shape evaluates: a compiled program, whose data are arguments.
+"""The evaluation of a fit of a shape: a compiled program, whose data are arguments.
 
-Meshes are padded to the size of the finest, so that all phases, and all meshes of like size, share the program.
+Meshes are padded to the size of the finest mesh, so that all phases, and all meshes of similar size, share the program.
 """
 
 import dataclasses
@@ -23,12 +23,12 @@ from .problems import ShapeProblem, ShapeView, of_one_structure, together
 from .problems._aligned import are_aligned, may_be_aligned
 from .problems._shape import Evaluation, Sight, evaluate, mirror_partners, mirrored, sights
 
-# Once so large a fraction of the memory for crossings is used, a program for more is compiled beside the fit.
+# When this fraction of the memory for crossings is used, a larger program is compiled in parallel to the fit.
 _NEARLY_FULL = 0.85
 
 
 class Level(NamedTuple):
-    """A mesh of the size that all meshes of a fit have; `faces` and `edges` are padded, `own_faces` are not."""
+    """A mesh of the common size of a fit's meshes. `faces` and `edges` are padded; `own_faces` are not."""
 
     start: Float[HostArray, "v 3"]
     own_faces: Int[HostArray, "f 3"]
@@ -42,14 +42,14 @@ class ShapeProgram:
     """A problem's views and its compiled program, which evaluates the loss of meshes that are padded to one size."""
 
     def __init__(self, problem: ShapeProblem, splits: int = 0):
-        """**Arguments:** `splits`: how often the fit splits the triangles."""
+        """**Arguments:** `splits`: the number of times that the fit splits the triangles."""
         self.problem = problem
         groups = of_one_structure(problem.views)
         self.groups: list[ShapeView] = [together(group) for group in groups]
         order = {id(view): number for number, view in enumerate(problem.views)}
         self.order = np.argsort([order[id(view)] for group in groups for view in group])
         vertices = np.asarray(problem.mesh.vertices, np.float64)
-        # All meshes are padded to the size of the finest.
+        # All meshes are padded to the size of the finest mesh.
         edges = len(Edges.of(problem.mesh).vertices)
         count, faces = len(vertices), len(problem.mesh.faces)
         for _ in range(splits):
@@ -75,7 +75,7 @@ class ShapeProgram:
         if not all(reached):
             raise ValueError(
                 f"the light of view {reached.index(False)} reaches none of the pixels that count; expected a surface "
-                "that lies in the light's shadow map and faces the light: move the light or the surface, or make the "
+                "in the light's shadow map that faces the light: move the light or the surface, or make the "
                 "map's extent larger"
             )
         return found
@@ -102,7 +102,7 @@ class ShapeProgram:
         return Level(vertices, faces, free, mesh.padded(self.padding[0]).faces, edges, partner)
 
     def mirrored(self, level: Level, vertices: Float[HostArray, "v 3"]) -> Float[HostArray, "v 3"]:
-        """The vertices, or the mean of them and their mirror image."""
+        """The vertices, or the mean of the vertices and their mirror images."""
         if level.partner is None or self.problem.symmetry is None:
             return vertices
         return (vertices + mirrored(vertices, self.problem.symmetry)[level.partner]) / 2
@@ -121,7 +121,7 @@ class ShapeProgram:
         blur: float,
         crossings: int,
     ) -> tuple[Evaluation, int]:
-        """The loss, and the number of crossings for which there is memory now.
+        """The loss, and the number of crossings with memory.
 
         Memory is doubled when it is full. Before that, a thread compiles the program for the larger memory while the
         fit continues.
@@ -143,7 +143,7 @@ class ShapeProgram:
             self.more, crossings = None, 2 * crossings
 
     def join(self) -> None:
-        """Waits for the thread that compiles."""
+        """Waits for the compiling thread."""
         if self.more is not None:
             self.more.join()
 
@@ -160,6 +160,6 @@ class ShapeProgram:
         return self._of_views([np.asarray(image) for image in found.images])
 
     def _of_views(self, groups: Sequence[Any]) -> list[Any]:
-        """What each group has along its first axis, in the order of the problem's views."""
+        """The entries of each group's first axis, in the order of the problem's views."""
         every = [one for group in groups for one in group]
         return [every[number] for number in self.order]

@@ -16,19 +16,19 @@ from ..settings.fit import ShapePhase as PhaseSettings
 class ShapePhase:
     """A phase of a fit of a shape.
 
-    - `strength`: λ, how strongly the steps of neighbouring vertices are smoothed. It is counted in edges: after each
-        triangle is split in four, the same distance needs four times the strength.
+    - `strength`: λ, the strength of the smoothing between the steps of neighbouring vertices. Its unit is an edge:
+      after each triangle is split in four, the same distance needs four times the strength.
     - `rate`: length of the first steps, as a fraction of the longest side of the views' shadows at the start's distance
         from the lights. The rate falls along half a cosine.
-    - `steps`: how many.
+    - `steps`: the number of steps.
     - `blur`: standard deviation, in pixels, of the Gaussian under which images are compared.
-    - `subdivisions`: how often each triangle is split in four before the phase.
-    - `light_rate`: length of the first steps of lights that move, in degrees as seen from the shape. It falls likewise.
+    - `subdivisions`: the number of times that each triangle is split in four before the phase.
+    - `light_rate`: length of the first steps of lights that move, in degrees as seen from the shape. It falls in the
+      same way.
     - `normal_consistency`, `edge_length`: weights of penalties on folds and on long edges, added to the mean square
-        error, for noisy images; 0 for none. Normals: the mean, over pairs of neighbouring faces, of 1 minus the cosine
-        between them. Lengths: the mean square, as a fraction of the mean square at the start of the phase.
-
-    **Raises** `ValueError` for a value that is not allowed.
+        error, for noisy images; 0 for none. The penalty on folds is the mean, over pairs of neighbouring faces, of 1
+        minus the cosine between their normals. The penalty on lengths is their mean square, as a fraction of the mean
+        square at the start of the phase. **Raises** `ValueError` for an invalid value.
     """
 
     settings: ClassVar = PhaseSettings
@@ -47,12 +47,12 @@ class ShapePhase:
 
 
 PHASES = tuple(ShapePhase(**phase) for phase in DEFAULT_PHASES)
-"""Phases for a start of about 5,000 vertices within the visual hull, as `hull_start` makes it."""
+"""Phases for a start of about 5,000 vertices within the visual hull, such as the result of `hull_start`."""
 
 
 class ShapeState(NamedTuple):
-    """The state of a fit before a step: everything that it needs to continue, on a CPU to the same bits. Arrays never
-    change.
+    """The state of a fit before a step, with everything that it needs to continue. On a CPU, it continues to the same
+    bits. Arrays never change.
 
     - `phase`, `step`: phase and number of the next step, from 0; `crossings`: the number of crossings for which there
         is memory.
@@ -103,7 +103,7 @@ class ShapeStep(NamedTuple):
 
 
 class FittedShape(NamedTuple):
-    """What a fit of a shape found.
+    """The result of a fit of a shape.
 
     - `mesh`: the best mesh under the judge: the end of a phase, or the start.
     - `lights`: the light of each view, for this mesh.

@@ -1,4 +1,4 @@
-"""The compiled program of a phase: least squares from the free values of its parameters to their best."""
+"""The compiled program of a phase: least squares from the free values of its parameters to their best values."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -16,23 +16,23 @@ from .problems import Images, Joint, compressed, multiplied, products, squares
 from .solvers import Solver, Stop, optimistix_options, optimistix_solver
 
 Stacks = tuple[Float[Array, "..."], ...]
-"""The derivatives of images by each parameter, (p, n, h, w)."""
+"""The derivatives of images with respect to each parameter, (p, n, h, w)."""
 
 
 class Solution(NamedTuple):
     """The end of a phase.
 
-    Derivatives are with respect to each parameter's fraction of the distance between its bounds: comparable, and free
-    of the change of variables.
+    Derivatives are with respect to each parameter as a fraction of the distance between its bounds. They are
+    comparable, and independent of the change of variables.
 
     - `value`: (a,), the free values of the active parameters.
     - `gradient`: (a,), gradient of the mean square of the compared differences, or of a user's loss.
-    - `slope`: (a,), norms of the columns of the residuals' Jacobian, 0 where a parameter changes nothing.
+    - `slope`: (a,), norms of the columns of the residuals' Jacobian; 0 if a parameter changes nothing.
     - `differences`, `slopes`: each problem's differences (n, h, w) and their derivatives (a, n, h, w), before the blur,
-        with the loss's weights.
+      with the loss's weights.
     - `roots`: (v,), roots of these weights.
 
-    The last three are empty under a user's loss.
+    The last three are empty with a user's loss.
     """
 
     value: Float[Array, " a"]
@@ -46,15 +46,15 @@ class Solution(NamedTuple):
 
 
 class _Own(NamedTuple):
-    """Of a user's loss, at one place: the residuals of compared images, (n,), or the loss, (1,); and their derivatives
-    by each parameter's fraction, (n, a)."""
+    """The values of a user's loss at one point: the residuals of compared images, (n,), or the loss, (1,); and their
+    derivatives with respect to each parameter's fraction, (n, a)."""
 
     rows: Float[Array, " n"]
     columns: Float[Array, "n a"]
 
 
 _Evaluated = tuple[Images, Stacks, Float[Array, " v"]] | _Own
-"""What is found at one place: differences, slopes and roots as in `Solution`, or rows and columns of a user's loss."""
+"""The values at one point: differences, slopes and roots as in `Solution`, or rows and columns of a user's loss."""
 
 
 def _solve(
@@ -63,8 +63,8 @@ def _solve(
     is_scalar = joint.own is not None and joint.own.is_scalar
 
     def evaluated(y: Array, args: tuple[Joint, Parameters, Array]) -> tuple[Array, _Evaluated, Overflow]:
-        # A solver needs several products with the Jacobian. As a linear function it would be compiled, and evaluated,
-        # once for each; here it is a matrix, found once together with the residuals.
+        # A solver needs several products with the Jacobian. A linear function would be compiled and evaluated once for
+        # each product. A matrix is computed once, together with the residuals.
         joint, parameters, scale = args
         fraction = parameters.fraction(y)
         fixed = jax.lax.stop_gradient(fraction)
@@ -86,7 +86,7 @@ def _solve(
     options, until = optimistix_options(solver), {"max_steps": solver.max_steps, "throw": False}
     run = optx.minimise if is_scalar else optx.least_squares
     solution = run(residual, method, y, args, options, has_aux=True, **until)
-    # The solvers of this package keep what is found where they end. Others need not.
+    # The solvers of this package keep the values at their end. Others may not.
     known = solution.state.aux if solver.method is None else evaluated(solution.value, args)[1]
     if isinstance(known, _Own):
         end, jacobian = jnp.full(1, 0.5) if is_scalar else known.rows, known.columns
@@ -109,7 +109,7 @@ def _solve(
 def _rows(
     joint: Joint, parameters: Parameters, fixed: Float[Array, " a"], change: Float[Array, " a"]
 ) -> tuple[Float[Array, " n"], _Evaluated, Overflow]:
-    """The residuals at the fractions `fixed` + `change`, to first order in the latter, and what is found at `fixed`."""
+    """The residuals at the fractions `fixed` + `change`, to first order in `change`, and the values at `fixed`."""
     differences, slopes, overflow = _with_slopes(joint, parameters, fixed)
     compared, sloping = joint.compared(differences), jax.vmap(joint.compared)(slopes)
     roots, curvature_rows = _weights(joint, compared, sloping)
@@ -128,7 +128,7 @@ def _rows(
 def _rows_of_own(
     joint: Joint, parameters: Parameters, fixed: Float[Array, " a"], change: Float[Array, " a"]
 ) -> tuple[Float[Array, " n"], _Evaluated, Overflow]:
-    """As `_rows`, of a user's loss; or instead of residuals its value, (1,)."""
+    """Like `_rows`, for a user's loss. A scalar loss has its value, (1,), instead of residuals."""
 
     def rows(fraction: Array) -> tuple[Array, Overflow]:
         images, overflow = joint.rows(parameters.put(joint.subject, parameters.at(fraction)))
@@ -142,7 +142,7 @@ def _rows_of_own(
 
 
 def _weights(joint: Joint, compared: Images, slopes: Stacks) -> tuple[Float[Array, " v"], Float[Array, "v p"] | None]:
-    """The roots of the loss's weights, and the rows that stand for their change."""
+    """The roots of the loss's weights, and the rows for the change of the weights."""
     errors = squares(compared)
     gradients = 2 * jax.vmap(lambda slope: products(compared, slope), out_axes=1)(slopes)
     return jnp.sqrt(joint.loss.weights(errors, joint.shares)), joint.loss.curvature_rows(
@@ -151,9 +151,10 @@ def _weights(joint: Joint, compared: Images, slopes: Stacks) -> tuple[Float[Arra
 
 
 def _with_slopes(joint: Joint, parameters: Parameters, fraction: Float[Array, " p"]) -> tuple[Images, Stacks, Overflow]:
-    """All differences at a `fraction` (p,) of the distance between the bounds, and their derivatives by each.
+    """All differences at a `fraction` (p,) of the distance between the bounds, and their derivatives with respect to
+    each fraction.
 
-    **Returns:** images (n, h, w), stacks of them (p, n, h, w), and whether silhouettes are missing from a map.
+    **Returns:** images (n, h, w), stacks of images (p, n, h, w), and whether silhouettes are missing from a map.
     """
 
     def differences(fraction: Array) -> tuple[Images, Overflow]:
@@ -163,8 +164,9 @@ def _with_slopes(joint: Joint, parameters: Parameters, fraction: Float[Array, " 
 
 
 def _pushed(function: Callable[[Array], tuple[Any, Overflow]], fraction: Float[Array, " p"]) -> tuple[Any, Any, Any]:
-    """What `function` returns at `fraction` (p,), its derivatives by each along a first axis, and its second result."""
-    # Few parameters, many pixels: forward.
+    """The result of `function` at `fraction` (p,), its derivatives with respect to each fraction along a first axis,
+    and its second result."""
+    # Forward mode, because there are few parameters and many pixels.
     pushed = jax.vmap(lambda way: jax.jvp(function, (fraction,), (way,), has_aux=True), out_axes=(None, 0, None))
     return pushed(jnp.eye(fraction.shape[0], dtype=fraction.dtype))
 
@@ -180,5 +182,5 @@ def _columns(stacks: Stacks) -> Float[Array, "n p"]:
 solve: Any = eqx.filter_jit(_solve)
 """`solve(joint, parameters, y, solver, token, scale, stop)`: a phase from the free values `y`.
 
-`token` names the reporter of its steps, and `scale` multiplies the residuals.
+`token` identifies the reporter of its steps, and `scale` multiplies the residuals.
 """

@@ -1,8 +1,8 @@
 """Fits of many numbers to many views.
 
-Residuals of all views do not fit into memory once there are many numbers. The views are therefore scanned: of each, the
-residuals and their Jacobian are compressed to as many rows as there are numbers, by an orthogonal transformation that
-keeps their sums of squares (sequential least squares; Lawson & Hanson, "Solving Least Squares Problems", chapter 27).
+With many numbers, the residuals of all views do not fit into memory. The views are therefore scanned. An orthogonal
+transformation compresses the residuals and the Jacobian of each view to as many rows as there are numbers. It preserves
+sums of squares (sequential least squares; Lawson & Hanson, "Solving Least Squares Problems", chapter 27).
 """
 
 from collections.abc import Callable, Sequence
@@ -26,12 +26,12 @@ from .problems import TechniqueProblem, of_one_structure, together
 from .solvers import OptimistixSolver, Solver, Stop, optimistix_options, optimistix_solver
 
 Where = Callable[[Any], Any]
-# A number with a lower bound starts at least this far above it.
+# A number with a lower bound starts at least this far above the bound.
 _INSET = 1e-3
 
 
 class TrainingPhase(NamedTuple):
-    """How a phase of a training ended.
+    """The end of a phase of training.
 
     - `width`: width of its soft compare, in texels; `steps`: steps of the solver.
     - `loss`: the mean square error under the soft compare; `hard_loss`: under the hard compare.
@@ -44,7 +44,7 @@ class TrainingPhase(NamedTuple):
 
 
 class Training(NamedTuple):
-    """What a training found.
+    """The result of training.
 
     - `technique`: the trained technique, with the hard compare.
     - `initial_loss`, `loss`: its mean square error over all views under the hard compare, before and after.
@@ -78,15 +78,15 @@ def train(
     - `problems`: views. Training starts from the technique of the first view.
     - `where`: a function of a technique that returns the trained part: one module or several. All of their
         floating-point arrays are trained. Calls with the same function share their compiled programs.
-    - `lower`: the least value of the trained numbers, minus infinity for no limit. A number, or a tree of numbers with
+    - `lower`: the minimum of the trained numbers, or minus infinity for no limit. A number, or a tree of numbers with
         the structure of the result of `where` or of its upper part.
-    - `solver`, `anneal`: the solver and how the compare hardens; defaults if left out. Levenberg-Marquardt and dogleg
-        compute a derivative for each number and pixel, which suits some tens of numbers. The other solvers compute the
-        loss' gradient in reverse mode.
-    - `on_phase`: called after each phase. If left out, `diffshadow.setup` decides whether a line shows the steps.
+    - `solver`, `anneal`: the solver and the annealing of the compare. Levenberg-Marquardt and dogleg compute a
+      derivative for each number and pixel, which is suitable for some tens of numbers. The other solvers compute the
+      loss' gradient in reverse mode.
+    - `on_phase`: called after each phase. Without it, `diffshadow.setup` decides whether a line shows the steps.
 
-    **Raises** `ValueError` if there is no view, no pixel of a view counts, nothing is selected, or a number starts
-    below its least value.
+    **Raises** `ValueError` if there is no view, if no pixel of a view counts, if nothing is selected, or if a number
+    starts below its minimum.
     """
     limit_programs()
     solver, anneal = Solver.of(solver).for_problem(False), anneal or Anneal()
@@ -95,7 +95,7 @@ def train(
     technique = _with_compare(problems[0].technique, HardCompare())
     start, _ = ravel_pytree(_selected(technique, where))
     if not start.size:
-        raise ValueError("where selects no number of the technique; expected some: select a module that holds them")
+        raise ValueError("where selects no number of the technique; expected numbers: select a module that has numbers")
     least = _least(lower, _selected(technique, where))
     if (np.asarray(start) < least).any():
         raise ValueError(
@@ -140,14 +140,14 @@ def _selected(technique: Any, where: Where) -> Any:
 
 
 def _put(technique: Any, where: Where, values: Float[Array, " p"]) -> Any:
-    """`technique` with `values` (p,) in place of what `where` selects."""
+    """`technique` with `values` (p,) instead of the part that `where` selects."""
     selected, rest = eqx.partition(where(technique), eqx.is_inexact_array)
     _, unravel = ravel_pytree(selected)
     return eqx.tree_at(where, technique, eqx.combine(unravel(values), rest)) if values.size else technique
 
 
 def _least(lower: Any, selected: Any) -> Float[np.ndarray, " p"]:
-    """The least value of each number (p,)."""
+    """The minimum of each number (p,)."""
     spread = jax.tree.map(lambda least, part: jax.tree.map(lambda x: np.full(x.shape, least), part), lower, selected)
     return np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(spread)])
 
@@ -159,7 +159,7 @@ def _with_compare(technique: Any, compare: Any) -> Any:
 
 
 def _plain(problem: TechniqueProblem, technique: Any) -> TechniqueProblem:
-    """`problem` without its scene, and with the technique that all share."""
+    """`problem` without its scene, and with the technique that all views share."""
     return TechniqueProblem(technique, problem.shadow_map, problem.surface, problem.reference, problem.mask)
 
 
@@ -176,7 +176,7 @@ def _loss(groups: Groups, technique: Any, values: Float[Array, " p"], where: Whe
     """The mean square error over all views."""
     technique = _put(technique, where, values)
 
-    # In reverse mode each view is drawn again, so that only one has its intermediate values in memory.
+    # Reverse mode draws each view again, so that only one view's intermediate values are in memory.
     @jax.checkpoint
     def add(total: Scalar, problem: TechniqueProblem) -> tuple[Scalar, None]:
         return total + jnp.sum(problem.difference(technique) ** 2), None
@@ -210,16 +210,16 @@ def _phase(
     if solver.is_least_squares:
         solution = optx.least_squares(residual, method, start, views, optimistix_options(solver), **until)
     else:
-        # Reverse: its cost does not depend on how many numbers there are.
+        # Reverse mode, because its cost does not depend on the number of parameters.
         solution = optx.minimise(loss, method, start, views, {"autodiff_mode": "bwd"}, **until)
     end = bounded(solution.value)
     return end, _loss(groups, technique, end, where), solution.stats["num_steps"]
 
 
 def _bounded(y: Float[Array, " p"], least: Float[Array, " p"]) -> Float[Array, " p"]:
-    """`least - 1 + sqrt(y² + 1)`, or `y` where there is no bound: every `y` is allowed, and the bound can be reached
-    (James & Roos, "Minuit", Computer Physics Communications 10, 1975)."""
-    # sqrt(y² + 1) - 1 without a difference, which rounding could carry below the bound.
+    """`least - 1 + sqrt(y² + 1)`, or `y` if there is no bound. Every `y` is valid, and the bound can be reached (James
+    & Roos, "Minuit", Computer Physics Communications 10, 1975)."""
+    # sqrt(y² + 1) - 1 without a difference, because rounding could move the difference below the bound.
     above = y * y / (jnp.sqrt(y * y + 1) + 1)
     return jnp.where(jnp.isfinite(least), least + above, y)
 
@@ -231,7 +231,8 @@ def _free(x: Float[Array, " p"], least: Float[Array, " p"]) -> Float[Array, " p"
 
 
 def _compressed(groups: Groups, of: Callable[[Array], Any], y: Float[Array, " p"]) -> Float[Array, "q q"]:
-    """p + 1 rows with the sums of squares and products of all views' Jacobian and, as last column, their residuals."""
+    """p + 1 rows with the same sums of squares and products as the Jacobian of all views with the residuals as its last
+    column."""
     size = y.size + 1
 
     def add(rows: Array, problem: TechniqueProblem) -> tuple[Array, None]:

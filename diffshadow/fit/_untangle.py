@@ -1,7 +1,7 @@
-"""Surfaces of a fit that intersect themselves: they are smoothed where they do, until they no longer do.
+"""Removes self-intersections of a fitted surface by smoothing the surface there.
 
-A shadow tells nothing about walls inside of a shape, so that nothing in a fit's loss keeps one wall from passing
-through another.
+A shadow shows nothing about walls inside a shape, so nothing in a fit's loss keeps one wall from passing through
+another.
 """
 
 import numpy as np
@@ -11,17 +11,18 @@ from .._self_intersections import intersecting_faces
 from .._types import HostArray
 from ._large_steps import neighbours
 
-# How often all intersections are looked for, and how often vertices move half of the way to their neighbours' mean
-# before they are looked for again.
+# The number of searches for intersections, and the number of times between searches that vertices move halfway to their
+# neighbours' mean.
 _ROUNDS, _MOVES = 20, 3
 
 
 def untangled(
     vertices: Float[HostArray, "v 3"], faces: Int[HostArray, "f 3"], free: Bool[HostArray, " v"]
 ) -> Float[HostArray, "v 3"]:
-    """The vertices of a surface, moved where faces intersect, and their neighbours. Vertices that are not `free` stay.
+    """The vertices of a surface, moved where faces intersect, together with their neighbours. Only `free` vertices
+    move.
 
-    Faces may still intersect where vertices are not free, and where one part lies within another.
+    Faces may still intersect where vertices are not free, or where one part is inside another.
     """
     near = None
     for _ in range(_ROUNDS):

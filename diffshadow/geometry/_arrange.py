@@ -1,4 +1,4 @@
-"""Finds what a scene lacks: a camera, a light, and a ground that its shadow falls on."""
+"""Finds missing parts of a scene: a camera, a light, and a ground that receives the shadow."""
 
 import math
 from typing import NamedTuple
@@ -24,16 +24,16 @@ from ._framing import (
 )
 from ._ground import Corners, Ground, ground_of, has_floor, height_field_of, inside_of
 
-# A ground reaches beyond the casters and their shadows by this part of their extent, on each side.
+# A ground extends beyond the casters and their shadows by this fraction of their extent, on each side.
 _BEYOND = 0.4
-# It lies below level faces that show their front sides, by this part of the scene's size, so that they do not meet.
+# It is below level faces that show their front sides, by this fraction of the scene's size, so that they do not touch.
 _BELOW = 1e-3
-# Radius of a lamp in a room, as a part of the room's height.
+# Radius of a lamp in a room, as a fraction of the room's height.
 _LAMP_RADIUS = 0.02
 
 
 class Wanted(NamedTuple):
-    """Which parts have to be found."""
+    """The parts that have to be found."""
 
     camera: bool = False
     light: bool = False
@@ -41,8 +41,8 @@ class Wanted(NamedTuple):
 
 
 class Given(NamedTuple):
-    """What is known of a scene: `light`, its camera's place (eye, target) and lens, which faces cast (f,), and the
-    direction that is up."""
+    """The known parts of a scene: `light`, its camera's position (eye, target) and lens, the casting faces (f,), and
+    the up direction."""
 
     light: FrameLight | None
     camera: tuple[Vector, Vector] | None
@@ -52,13 +52,13 @@ class Given(NamedTuple):
 
 
 class Arranged(NamedTuple):
-    """What was found, in world coordinates; parts that were not requested are none.
+    """The found parts, in world coordinates. Parts that were not requested are `None`.
 
-    - `camera`: its place, and the estimated parts of the picture.
-    - `sun`: its azimuth and elevation in degrees, where `+y` is up; `direction`: the direction in which it shines.
+    - `camera`: its position, and its estimated share of the picture.
+    - `sun`: its azimuth and elevation in degrees, with `+y` up; `direction`: the direction in which it shines.
     - `lamp`: position, and radius.
-    - `plane`: the middle of a square ground, and its side.
-    - `is_room`, `has_ground`: what the scene was taken for.
+    - `plane`: the centre of a square ground, and its side.
+    - `is_room`, `has_ground`: whether the scene counts as a room, and whether it has a ground.
     """
 
     camera: Framed | None
@@ -71,7 +71,8 @@ class Arranged(NamedTuple):
 
 
 class _Scene(NamedTuple):
-    """A scene with `+y` up around the coordinates' origin: the casters' corners, samples of them, and the ground."""
+    """A scene with `+y` up around the origin of its coordinates: the casters' corners, samples of them, and the
+    ground."""
 
     casters: Points
     samples: Points
@@ -80,7 +81,7 @@ class _Scene(NamedTuple):
 
 
 def arrange(corners: Corners, given: Given, wanted: Wanted) -> Arranged:
-    """Finds the `wanted` parts of a scene with triangles (f, 3, 3), whatever its size and its place.
+    """Finds the `wanted` parts of a scene with triangles (f, 3, 3), at any size and position.
 
     A scene that is closed around a point is seen and lit from inside. Any other scene is seen from outside and lit by a
     sun.
@@ -122,7 +123,7 @@ def arrange(corners: Corners, given: Given, wanted: Wanted) -> Arranged:
 
 
 def turn_up(up: Vector) -> Float[HostArray, "3 3"]:
-    """The shortest rotation that turns the direction `up` to `+y`."""
+    """The shortest rotation from the direction `up` to `+y`."""
     a, b = np.asarray(up, float) / np.linalg.norm(up), np.array([0.0, 1.0, 0.0])
     if a @ b < -1 + 1e-9:
         return np.diag([1.0, -1.0, -1.0])
@@ -152,7 +153,7 @@ def _scene(corners: Corners, casts: Bool[HostArray, " f"]) -> _Scene:
 
 
 def _plane(corners: Corners, scene: _Scene, light: FrameLight) -> tuple[Vector, float]:
-    """The middle and the side of a square ground under the casters and their shadows."""
+    """The centre and the side of a square ground under the casters and their shadows."""
     fallen = shadow_of(scene.casters, light, scene.height)
     flat = np.concatenate([scene.casters, fallen])[:, [0, 2]]
     low, high = flat.min(axis=0), flat.max(axis=0)

@@ -30,7 +30,7 @@ class AbstractCamera(CheckedModule):
 
     - `eye`, `target`: world positions; the camera looks from `eye` to `target`.
     - `up`: a direction that points up in the image.
-    - `near`, `far`: distances along the view axis, world units, between which surfaces are seen.
+    - `near`, `far`: the range of visible distances along the view axis, in world units.
     - `resolution`: (height, width) in pixels.
     """
 
@@ -150,11 +150,11 @@ class MatrixCamera(AbstractCamera):
     """A camera given by its matrices, for example from another program.
 
     - `world_to_eye`: (4, 4), rigid; the eye looks along `-z`. It acts on column vectors.
-    - `eye_to_clip`: (4, 4), a projection as `perspective` and `orthographic` make, which may be off-centre. Depth
+    - `eye_to_clip`: (4, 4), a projection of the form of `perspective` or `orthographic`, possibly off-centre. Depth
         in clip space is from -1 to 1, as in OpenGL.
     - `resolution`: (height, width) in pixels.
-    - `is_perspective`: whether sizes shrink with distance. By default it is read from `eye_to_clip`; required under a
-        trace.
+    - `is_perspective`: whether sizes shrink with distance. By default it is read from `eye_to_clip`. Required under
+      `jit`.
 
     Near and far come from the projection, and `target` is a point on the view axis.
 
@@ -221,7 +221,7 @@ class MatrixCamera(AbstractCamera):
 def orbit_eye(target: Vec3, distance: Scalar | float, azimuth: float, elevation: float) -> Vec3:
     """The point at `distance` world units from `target`; `azimuth` and `elevation` are in degrees.
 
-    Azimuth 0 lies on `+z` of the target, 90 on `+x`; elevation 90 lies straight above (`+y`).
+    Azimuth 0 is on `+z` of the target, and 90 on `+x`. Elevation 90 is straight above (`+y`).
     """
     a, e = math.radians(azimuth), math.radians(elevation)
     towards = [math.cos(e) * math.sin(a), math.sin(e), math.cos(e) * math.cos(a)]

@@ -1,8 +1,7 @@
-"""Edges of a mesh and the faces that meet in them: where silhouettes can be.
+"""Edges of a mesh and their faces, which define possible silhouettes.
 
 Seen from a point, an edge is a silhouette if one of its faces faces the point and the other faces away, or if it has
-only one face. Which faces meet in which edges does not change when vertices move, so the table is built once, on the
-host.
+only one face. The faces of an edge do not change when vertices move, so the table is built once, on the host.
 """
 
 import dataclasses
@@ -29,7 +28,7 @@ class Edges(eqx.Module):
 
     - `vertices`: (e, 2), the ends, as indices into the mesh's vertices. If several vertices have the same position, the
         first of them. The first face traverses the edge from the first end to the second.
-    - `faces`: (e, 2), the faces that meet there; the second is `NO_NEIGHBOUR` if there is only one.
+    - `faces`: (e, 2), the faces of the edge; the second is `NO_NEIGHBOUR` if there is only one.
     - `directions`: (e, 2), +1 if the face traverses the edge from its first end to its second, -1 if it traverses it
         backwards, 0 if there is no face. The first entry is always +1; the second is -1 if both faces have the same
         winding.
@@ -38,8 +37,9 @@ class Edges(eqx.Module):
         outside, that is, its signed volume is positive.
     - `is_closed`: whether the whole mesh is closed: every edge is traversed equally often in both directions.
 
-    An edge between three or more faces has one row per face, without a second face. So such an edge always counts as a
-    silhouette. Faces with two corners at one place have no edges; faces whose three corners lie on a line have edges.
+    An edge between three or more faces has one row per face, without a second face. Such an edge therefore always
+    counts as a silhouette. Faces with two corners at the same position have no edges. Faces whose three corners are
+    collinear have edges.
     """
 
     vertices: Int[Array, "e 2"]
@@ -53,7 +53,7 @@ class Edges(eqx.Module):
     def of(cls, mesh: MeshLike) -> "Edges":
         """The edges of `mesh`.
 
-        Only vertices at exactly the same place count as one; `weld` merges vertices that are merely close.
+        Only vertices at exactly the same position count as one. `weld` merges vertices that are close to each other.
 
         **Raises** `ValueError` if the mesh is traced.
         """
@@ -73,7 +73,7 @@ class Edges(eqx.Module):
         return cls(ends, meeting, directions, as_int(component), solid, bool(closed.all()))
 
     def renumbered(self, vertices: Int[HostArray, " v"], faces: Int[HostArray, " f"]) -> "Edges":
-        """The edges after the mesh was merged with others: its vertex `i` is `vertices[i]` of the merged mesh, and its
+        """The edges after the mesh was merged with others. Its vertex `i` is `vertices[i]` of the merged mesh, and its
         face `i` is `faces[i]`."""
         own = np.asarray(self.faces)
         component = np.zeros(faces.max() + 1, int)
@@ -86,8 +86,8 @@ class Edges(eqx.Module):
         )
 
     def padded(self, faces: int, to: int | None = None) -> "Edges":
-        """The edges padded to as many rows as the mesh `padded` to so many faces needs. Added edges are never
-        silhouettes.
+        """The edges, padded to the number of rows that the mesh `padded` to this many faces needs. Added edges are
+        never silhouettes.
 
         **Arguments:** `to`: the number of edges after padding; by default the next of a few sizes.
         """
@@ -105,9 +105,9 @@ class Edges(eqx.Module):
 
 
 def share_vertices(mesh: Mesh) -> Int[HostArray, "f 3"]:
-    """The mesh's faces, each index replaced by the first vertex at the same place; for concrete meshes.
+    """The mesh's faces. Each index is replaced by the first vertex at the same position. For concrete meshes.
 
-    Unlike `weld`, it keeps all faces, their order and the vertices, so that the result indexes `mesh.vertices`.
+    Unlike `weld`, this keeps all faces, their order and the vertices, so that the result indexes `mesh.vertices`.
     """
     # Adding 0 turns -0 into 0.
     _, first, group = np.unique(np.asarray(mesh.vertices) + 0.0, axis=0, return_index=True, return_inverse=True)
@@ -118,7 +118,7 @@ class _Runs:
     """The half-edges of all faces, sorted by edge.
 
     - `start`, `end`: (n,), vertices; `face`: (n,); `direction`: (n,), +1 if it runs to the higher index, otherwise -1.
-    - `edge`: (n,), ascending; `count`: how many edges there are.
+    - `edge`: (n,), ascending; `count`: the number of edges.
     """
 
     def __init__(self, faces: Int[HostArray, "f 3"]):
@@ -153,7 +153,7 @@ def _rows(runs: _Runs) -> tuple[HostArray, HostArray, HostArray]:
 
 
 def _components(runs: _Runs, count: int) -> Int[HostArray, " f"]:
-    """The connected part, numbered from 0, of each of `count` faces; faces that share an edge are connected."""
+    """The connected part, numbered from 0, of each of `count` faces. Faces that share an edge are connected."""
     # Faces and edges are the nodes of a graph, in this order, and each face is linked to its edges.
     links = coo_array((np.ones(len(runs.face), bool), (runs.face, count + runs.edge)), shape=(count + runs.count,) * 2)
     _, label = connected_components(links, directed=False)

@@ -1,6 +1,6 @@
 """Places a camera and a sun so that a scene's casters and their shadows on the ground are in the picture.
 
-All is in a world with `+y` up, in any unit. A view is rated by samples of the casters' surfaces, which are drawn as
+Coordinates have `+y` up, in any unit. The rating of a view uses samples of the casters' surfaces. They are drawn as
 points into a small image, together with their shadows.
 """
 
@@ -15,46 +15,46 @@ from jaxtyping import Bool, Float, Int
 from .._types import HostArray
 from ._ground import Corners, Ground, Inside, free_distance
 
-# Each is of another number of points.
+# The ratings use different numbers of points.
 Points = Float[HostArray, "_ 3"]
 Vector = Float[HostArray, "3"]
 
-# The part of the image's half that points may reach.
+# The fraction of the image's half that points may reach.
 _FILLED = 0.88
-# Azimuths of the camera, counted from the light's, and elevations, in degrees. The first of equal ones is taken.
+# Azimuths of the camera relative to the light's, and elevations, in degrees. The first of equal ones is used.
 _ASIDE = (100.0, -100.0, 60.0, -60.0, 140.0, -140.0, 20.0, 180.0)
 _ELEVATIONS = (32.0, 20.0, 48.0, 65.0)
 _DEFAULT_VIEW = (30.0, 30.0)
-# A view must be better than an earlier one by this factor to be taken instead.
+# A view replaces an earlier one only if it is better by this factor.
 _BETTER = 1.1
-# Azimuths of a sun; its shadow falls beyond what it stands on by this part of the casters' width, if its elevation is
-# within these bounds.
+# Azimuths of a sun. If its elevation is within these bounds, its shadow extends beyond its caster by this fraction of
+# the casters' width.
 _AZIMUTHS = (60.0, -60.0, 120.0, -120.0, 20.0, 160.0, -20.0, -160.0)
 _SHADOW_LENGTH, _SUN = 0.5, (20.0, 50.0)
-# The least elevation over a height field.
+# The minimum elevation over a height field.
 _OVER_SLOPES = 38.0
-# The shadows of suns that are lower than this, in degrees, are framed as if they were so high.
+# The shadows of suns below this elevation, in degrees, are framed as if the sun were at it.
 _LOWEST = 4.0
-# Lamps closer to a caster's height than this part of their height throw their shadows out of the picture.
+# Lamps this close to a caster's height, as a fraction of their own height, throw their shadows out of the picture.
 _LAMP_ABOVE = 0.1
 _SAMPLES, _PIXELS = 1 << 13, 48
-# Of a room: heights of eye and lamp above the floor, as parts of the room's, and the part of the way to the wall.
-# The first of equal ones is taken, and a later one must be better by a factor.
+# In a room: heights of eye and lamp above the floor, as fractions of the room's height, and the fraction of the way to
+# the wall. The first of equal ones is used, and a later one must be better by a factor.
 _EYES, _LAMP, _TO_WALL, _LOOKS_AT = (0.62, 0.8), 0.85, (0.85, 0.93), 0.2
 _BETTER_INSIDE = 1.02
-# Percentiles of directions between which most of what stands in a room is.
+# Percentiles of directions that enclose most objects in a room.
 _FEW = (3, 97)
 _AROUND = 16
 # Full field of view of a camera in a room, degrees.
 ROOM_FOV = 70.0
-# Faces this close to a side of a room's box, as a part of it, are of its walls.
+# Faces this close to a side of a room's box, as a fraction of it, belong to its walls.
 _WALL = 0.06
-# A point is hidden by another one of its pixel that is closer by more than this factor.
+# A point is hidden by another point of the same pixel that is closer by more than this factor.
 _HIDDEN = 1.1
 
 
 class FrameLight(NamedTuple):
-    """What throws the shadows: the direction in which a sun shines, or the position of a lamp."""
+    """The source of the shadows: the direction in which a sun shines, or the position of a lamp."""
 
     direction: Vector | None
     position: Vector | None = None
@@ -66,15 +66,15 @@ class FrameLight(NamedTuple):
 
 
 class Lens(NamedTuple):
-    """A camera without its place: the tangents of half its fields of view, (x, y), and whether it is perspective."""
+    """A camera without a position: the tangents of half its fields of view, (x, y), and whether it is perspective."""
 
     tangents: tuple[float, float]
     is_perspective: bool = True
 
 
 class Framed(NamedTuple):
-    """A camera's place; `height` is the height of a parallel camera's view. `shadow` and `casters`: the parts of the
-    picture that they take, as estimated."""
+    """A camera's position. `height` is the height of a parallel camera's view. `shadow` and `casters` are their
+    estimated shares of the picture."""
 
     eye: Vector
     target: Vector
@@ -98,8 +98,8 @@ def samples_of(corners: Corners, seed: int = 0) -> Points:
 
 
 def shadow_of(points: Points, light: FrameLight, height: float | Float[HostArray, " _"]) -> Points:
-    """Where the shadows of `points` fall on a level ground at `height` (one for all points, or one for each). Shadows
-    that do not fall on the ground are left out."""
+    """The shadows of `points` on a level ground at `height` (one for all points, or one for each). Shadows that miss
+    the ground are left out."""
     if light.direction is not None:
         x, y, z = light.direction / np.linalg.norm(light.direction)
         if y >= 0:
@@ -123,10 +123,10 @@ def shadow_of(points: Points, light: FrameLight, height: float | Float[HostArray
 
 
 def sun_for(samples: Points, ground: float | Float[HostArray, " _"], *, is_level: bool = True) -> tuple[float, float]:
-    """The azimuth and elevation, in degrees, of a sun whose shadow of `samples` on the ground is large.
+    """The azimuth and elevation, in degrees, of a sun that gives `samples` a large shadow on the ground.
 
-    Broad shadows that fall beside the casters count. The elevation is lower where the casters are flat. On a ground
-    that is not level, the sun is higher, since slopes shadow themselves.
+    Broad shadows next to the casters count. The elevation is lower for flat casters. On a ground that is not level, the
+    sun is higher, because slopes shadow themselves.
     """
     tall = max(float((samples[:, 1] - ground).max()), np.finfo(float).tiny)
     best, most = (_AZIMUTHS[0], _SUN[1]), 0.0
@@ -137,7 +137,7 @@ def sun_for(samples: Points, ground: float | Float[HostArray, " _"], *, is_level
         elevation = math.degrees(math.atan2(tall, max(_SHADOW_LENGTH * wide, 1e-9 * tall)))
         elevation = float(round(min(max(elevation, _SUN[0] if is_level else _OVER_SLOPES), _SUN[1])))
         fallen = shadow_of(samples, sun(azimuth, elevation), ground)
-        # Complex numbers are pairs of whole numbers.
+        # Complex numbers represent pairs of whole numbers.
         cells, under = (np.floor(each[:, [0, 2]] / cell) @ [1, 1j] for each in (fallen, samples))
         beside = len(np.setdiff1d(cells, under))
         if beside > _BETTER * most:
@@ -163,7 +163,7 @@ def sun_for_view(
 
 
 def sun(azimuth: float | int, elevation: float | int) -> FrameLight:
-    """A sun by its angles in degrees: azimuth 0 is on +z, 90 on +x."""
+    """A sun from its angles in degrees: azimuth 0 is on +z, 90 on +x."""
     a, e = math.radians(azimuth), math.radians(elevation)
     return FrameLight(-np.array([math.cos(e) * math.sin(a), math.sin(e), math.cos(e) * math.cos(a)]))
 
@@ -176,7 +176,8 @@ def frame_outside(
     **Arguments:**
 
     - `points`: all corners of the casters; `samples`: points on their surfaces.
-    - `height`: height of the ground; `ground`: where it is, if the scene has one: shadows beyond it do not show.
+    - `height`: height of the ground; `ground`: the extent of the ground, if the scene has one. Shadows beyond it do not
+      show.
     """
     on_ground = lambda points: (
         shadow_of(points, light, height)
@@ -201,10 +202,9 @@ def frame_outside(
 
 
 def frame_inside(corners: Corners, inside: Inside, lens: Lens, lamp: Vector | None) -> Framed:
-    """A camera in a corner of a room: the corner from which it sees most of the room's objects and their shadows on the
-    floor.
+    """A camera in the corner of a room from which it sees most of the room's objects and their shadows on the floor.
 
-    The corner that is farthest from the middle is taken if no other is better. `lamp`: throws the shadows.
+    The corner that is farthest from the centre is used if no other is better. `lamp` throws the shadows.
     """
     tall = inside.ceiling - inside.floor
     angles = np.arange(_AROUND) * 2 * np.pi / _AROUND
@@ -238,10 +238,10 @@ def frame_inside(corners: Corners, inside: Inside, lens: Lens, lamp: Vector | No
 
 
 def _amid(points: Points, eye: Vector) -> Vector:
-    """A point in the middle of the directions in which an eye sees `points`, a few of them aside."""
+    """A point in the middle of the directions in which an eye sees `points`, except for a few of them."""
     x, y, z = (points - eye).T
     middle = math.atan2(x.mean(), z.mean())
-    # Counted from the mean direction, angles do not jump.
+    # Angles relative to the mean direction do not jump.
     turn = np.arctan2(x, z) - middle
     turn = (turn + np.pi) % (2 * np.pi) - np.pi
     away = np.hypot(x, z)
@@ -252,7 +252,7 @@ def _amid(points: Points, eye: Vector) -> Vector:
 
 
 def _is_of_walls(corners: Corners) -> Bool[HostArray, " f"]:
-    """Which faces are of the walls, the floor or the ceiling: flat, and at a side of the scene's box."""
+    """Which faces belong to the walls, the floor or the ceiling: flat, and at a side of the scene's box."""
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     margin = _WALL * (high - low)
     at_low, at_high = (corners <= low + margin).all(axis=1), (corners >= high - margin).all(axis=1)
@@ -262,7 +262,7 @@ def _is_of_walls(corners: Corners) -> Bool[HostArray, " f"]:
 def _seen(
     each: Sequence[Points], hiding: Points, axes: Float[HostArray, "3 3"], eye: Vector, lens: Lens, half: float
 ) -> list[float]:
-    """The part of `each` of some sets of points that is in the picture and not hidden by the samples `hiding`."""
+    """The fraction of `each` of some sets of points that is in the picture and not hidden by the samples `hiding`."""
     nearest = np.full(_PIXELS * _PIXELS, np.inf)
     pixel, depth, inside = _pixels(hiding, axes, eye, lens, half)
     np.minimum.at(nearest, pixel[inside], depth[inside])
@@ -298,10 +298,10 @@ def _framed(
     else:
         x, y = ((part.max() + part.min()) / 2 for part in (across, upward))
         half = max(np.ptp(upward) / 2 / _FILLED, np.ptp(across) / 2 / _FILLED * lens.tangents[1] / lens.tangents[0])
-        # Clear of everything, since the view's near plane follows the scene.
+        # Outside of everything, because the view's near plane depends on the scene.
         away = float(backward.max() + 2 * half)
     eye = middle + np.array([x, y, away]) @ axes
-    # The point of the axis beside the middle of what is seen.
+    # The point of the axis next to the centre of the visible part.
     target = middle + np.array([x, y, (backward.max() + backward.min()) / 2]) @ axes
     shares = _shares(samples, fallen, axes, eye, lens, half)
     return Framed(eye, target, 2 * half, *shares)
@@ -317,7 +317,7 @@ def _axes_of(back: Vector) -> Float[HostArray, "3 3"]:
 
 
 def _apex(across: Float[HostArray, " n"], backward: Float[HostArray, " n"], tangent: float) -> tuple[float, float]:
-    """The place across and backward of the nearest eye that sees all points within a half field of view."""
+    """The position, across and backward, of the nearest eye that sees all points within a half field of view."""
     left, right = (backward - across / tangent).max(), (backward + across / tangent).max()
     return float((right - left) / 2 * tangent), float((right + left) / 2)
 
@@ -325,7 +325,7 @@ def _apex(across: Float[HostArray, " n"], backward: Float[HostArray, " n"], tang
 def _shares(
     samples: Points, fallen: Points, axes: Float[HostArray, "3 3"], eye: Vector, lens: Lens, half: float
 ) -> tuple[float, float]:
-    """The parts of the picture that shadows on the ground and casters take."""
+    """The fractions of the picture that shadows on the ground and casters fill."""
     nearest = np.full(_PIXELS * _PIXELS, np.inf)
     pixel, depth, inside = _pixels(samples, axes, eye, lens, half)
     np.minimum.at(nearest, pixel[inside], depth[inside])
@@ -345,7 +345,7 @@ def _pixels(
     depth = -backward
     tx, ty = lens.tangents
     in_front = depth > 0
-    # Points at the eye lie far beside the picture, and points behind it are in none.
+    # Points at the eye are far outside the picture, and points behind it are not in it.
     with np.errstate(over="ignore"):
         scale = np.where(in_front, depth, 1.0) if lens.is_perspective else half / ty
         x, y = across / (tx * scale), upward / (ty * scale)

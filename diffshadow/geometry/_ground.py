@@ -1,4 +1,4 @@
-"""What a scene stands on, which way is up, and whether it is a room: found from its triangles alone.
+"""Finds a scene's ground, its up direction, and whether it is a room, from its triangles alone.
 
 All functions take the corners of triangles, (f, 3, 3), in any unit. Except for `up_of`, they expect `+y` up.
 """
@@ -14,34 +14,35 @@ from .._types import HostArray
 Corners = Float[HostArray, "f 3 3"]
 Directions = Float[HostArray, "d 3"]
 
-# A face is level if its normal is this close to vertical, and lies at the bottom within this part of the scene's
+# A face is level if its normal is this close to vertical. It is at the bottom within this fraction of the scene's
 # largest side.
 _LEVEL, _AT_BOTTOM = 0.99, 0.01
-# A ground covers this part of the scene's outline, and what stands on it at most this part of the ground.
+# A ground covers this fraction of the scene's outline. The objects on it cover at most this fraction of the ground.
 _COVERED, _STANDING = 0.5, 0.7
-# A foot, which an object stands on, covers this part of the outline, and this many times as much as along another axis.
+# A foot of an object covers this fraction of the outline, and is this many times as large as along another axis.
 _FOOT, _MORE = 0.05, 3.0
-# A room hides this part of all directions, and shows its faces' front sides in this part of these.
+# A room hides this fraction of all directions, and shows its faces' front sides in this fraction of these.
 _CLOSED, _FRONT = 0.8, 0.9
-# The walls of a room are this far away from its middle, as a part of half the scene's lesser width. The parts of a
+# The walls of a room are this far from its centre, as a fraction of half the scene's smaller width. The parts of a
 # machine are closer.
 _TO_WALLS, _ASIDE = 0.35, 16
-# A height field covers this part of the outline, has at most so many layers in its place, and is at most so high.
+# A height field covers this fraction of the outline, has at most this many layers at one position, and is at most this
+# high.
 _SPREAD, _LAYERS, _RELIEF = 0.85, 1.05, 0.35
-# Cells along a side of the grid that its heights are read from.
+# Cells per side of the grid of its heights.
 _CELLS = 32
-# Where a point inside a room is looked for, as parts of the box; middles first.
+# The candidates for a point inside a room, as fractions of the box, with central ones first.
 _ACROSS, _HEIGHTS = (0.5, 0.3, 0.7), (0.5, 0.7)
 _DIRECTIONS = 96
 _TINY = float(np.finfo(float).tiny)
-# Pairs of rays and triangles that are tested at a time.
+# Pairs of rays and triangles that are tested at once.
 _PAIRS = 1 << 21
 
 
 class Ground(NamedTuple):
-    """A ground: its height, its least and greatest x and z, and which faces belong to it (f,).
+    """A ground: its height, its minimum and maximum x and z, and its faces (f,).
 
-    `relief`: for a height field, the heights in cells of equal size between `low` and `high`, as [x, z]; its `height`
+    `relief`: for a height field, the heights in cells of equal size between `low` and `high`, as [x, z]. Its `height`
     is their mean.
     """
 
@@ -52,7 +53,7 @@ class Ground(NamedTuple):
     relief: Float[HostArray, "n n"] | None = None
 
     def under(self, points: Float[HostArray, "p 3"]) -> float | Float[HostArray, " p"]:
-        """The height of the ground under some points."""
+        """The height of the ground under the points."""
         if self.relief is None:
             return self.height
         cells = _cells(points[:, (0, 2)], self.low, self.high)
@@ -68,7 +69,7 @@ class Inside(NamedTuple):
 
 
 def ground_of(corners: Corners) -> Ground | None:
-    """The level ground that everything else in a scene rests on; none if there is no such ground.
+    """The level ground that everything else in a scene rests on, or `None`.
 
     The bottom of an object is not a ground: objects cover less area than the ground that they rest on.
     """
@@ -87,20 +88,19 @@ def ground_of(corners: Corners) -> Ground | None:
     area = np.abs(_cross(flat)).sum() / 2
     if area < _COVERED * outline or standing > _STANDING * np.prod(high - low):
         return None
-    # Feet of objects are level, too; the ground is the largest face.
+    # Feet of objects are also level. The ground is the largest face.
     return Ground(float(corners[level][np.abs(_cross(flat)).argmax(), :, 1].mean()), low, high, level)
 
 
 def height_field_of(corners: Corners) -> Ground | None:
-    """The surface that everything else in a scene rests on, such as a terrain with trees; none if there is no such
-    surface.
+    """The surface that everything else in a scene rests on, such as a terrain with trees, or `None`.
 
     It is one connected surface that covers the scene's outline once. A closed object covers its own outline twice.
     """
     low, high = corners[..., (0, 2)].min(axis=(0, 1)), corners[..., (0, 2)].max(axis=(0, 1))
     outline = np.prod(high - low)
     signed = _cross(corners[..., (0, 2)]) / 2
-    # The areas of a closed object cancel, so that large ones are not taken apart.
+    # The areas of a closed object cancel, so large ones are not examined.
     if not abs(signed.sum()) > _SPREAD * outline:
         return None
     areas = np.abs(signed)
@@ -110,7 +110,7 @@ def height_field_of(corners: Corners) -> Ground | None:
     flat, covered = corners[faces], areas[faces].sum()
     if not _SPREAD * outline < covered < _LAYERS * outline or np.ptp(flat[..., 1]) > _RELIEF * max(high - low):
         return None
-    # Finer triangles than cells leave none of them empty; coarser ones are read at their corners and middles.
+    # Triangles finer than cells leave no cell empty. Coarser triangles are sampled at their corners and centres.
     points = np.concatenate([flat, flat.mean(axis=1, keepdims=True)], axis=1).reshape(-1, 3)
     cells = _cells(points[:, (0, 2)], low, high)
     total, count = np.zeros((2, _CELLS, _CELLS))
@@ -121,16 +121,16 @@ def height_field_of(corners: Corners) -> Ground | None:
 
 
 def _cells(flat: Float[HostArray, "p 2"], low: HostArray, high: HostArray) -> HostArray:
-    """The cell of the grid that each point lies in, (p, 2)."""
+    """The grid cell of each point, (p, 2)."""
     return ((flat - low) / np.maximum(high - low, _TINY) * _CELLS).astype(int).clip(0, _CELLS - 1)
 
 
 def _pieces(corners: Corners) -> HostArray:
-    """The number of the connected piece that each face belongs to, (f,). Corners at one place are connected."""
+    """The index of each face's connected piece, (f,). Corners at the same position are connected."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    # A sum with three weights tells places apart, and is sorted much faster than these.
+    # A weighted sum of the three coordinates distinguishes positions, and is sorted much faster.
     sums = corners.reshape(-1, 3) @ np.array([1.0, math.sqrt(2), math.pi])
     places = np.unique(sums, return_inverse=True)[1].reshape(-1, 3)
     ends = places[:, [1, 2]].ravel(), np.repeat(places[:, 0], 2)
@@ -142,16 +142,17 @@ def _pieces(corners: Corners) -> HostArray:
 
 
 def has_floor(corners: Corners) -> bool:
-    """Whether level faces at the bottom show their front sides from above: a plane at their height would meet them."""
+    """Whether level faces at the bottom show their front sides from above. A plane at their height would coincide with
+    them."""
     _, level = _level_at_bottom(corners)
     return bool((_normals(corners[level])[:, 1] > 0).any())
 
 
 def up_of(corners: Corners, is_y_up_format: bool) -> Literal["y", "z"]:
-    """Which axis is up: y unless the scene lies flat across z.
+    """The up axis: y unless the scene is flat across z.
 
     If there is a ground across z and none across y, z is up. A flat foot of an object counts as a sign only in formats
-    that do not say which axis is up.
+    that do not define the up axis.
     """
     turned = y_up(corners)
     if ground_of(corners) is not None:
@@ -172,9 +173,9 @@ def y_up(vectors: Float[HostArray, "*n 3"]) -> Float[HostArray, "*n 3"]:
 
 
 def inside_of(corners: Corners) -> Inside | None:
-    """A point from which a scene is seen as a room: closed around the point, with a level floor and front faces.
+    """A point from which a scene looks like a room: closed around the point, with a level floor and front faces.
 
-    None if there is no such point. A solid object seen from its middle shows the back sides of its faces.
+    `None` if there is no such point. A solid object seen from its centre shows the back sides of its faces.
     """
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     normals, least, most = _normals(corners), corners.min(axis=1), corners.max(axis=1)
@@ -183,7 +184,7 @@ def inside_of(corners: Corners) -> Inside | None:
         for x in _ACROSS:
             for z in _ACROSS:
                 point = low + (high - low) * np.array([x, height, z])
-                # Only faces that lie across one of the axes through the point can be met.
+                # Only faces that intersect one of the axes through the point can be hit.
                 is_between = (least <= point) & (point <= most)
                 near = np.flatnonzero(is_between.sum(axis=1) >= 2)
                 if len(near) == 0:
@@ -210,7 +211,7 @@ def _is_wide(corners: Corners, point: Float[HostArray, "3"]) -> bool:
 
 
 def free_distance(corners: Corners, point: Float[HostArray, "3"], directions: Directions) -> Float[HostArray, " d"]:
-    """The distance from `point` to the first face along each direction; infinite where there is none."""
+    """The distance from `point` to the first face along each direction; infinite if there is none."""
     return _hits(corners, _normals(corners), point, directions)[0]
 
 
@@ -219,7 +220,7 @@ def _size(corners: Corners) -> float:
 
 
 def _level_at_bottom(corners: Corners) -> tuple[float, Bool[HostArray, " f"]]:
-    """The least height, and which faces are level there."""
+    """The minimum height, and the level faces there."""
     heights = corners[..., 1]
     bottom = float(heights.min())
     at_bottom = heights.max(axis=1) <= bottom + _AT_BOTTOM * _size(corners)
@@ -227,7 +228,7 @@ def _level_at_bottom(corners: Corners) -> tuple[float, Bool[HostArray, " f"]]:
 
 
 def _foot(corners: Corners) -> float:
-    """The part of the outline that level faces at the bottom cover."""
+    """The fraction of the outline that level faces at the bottom cover."""
     _, level = _level_at_bottom(corners)
     outline = np.prod(np.ptp(corners[..., (0, 2)], axis=(0, 1)))
     return float(np.abs(_cross(corners[level][..., (0, 2)])).sum() / 2 / max(outline, np.finfo(float).tiny))
@@ -265,15 +266,15 @@ def _hits(
 
 
 def _crossings(corners: Corners, directions: Directions) -> Float[HostArray, "d f"]:
-    """The distance from the origin to each triangle along each direction; infinite where it is missed (Möller and
-    Trumbore 1997)."""
+    """The distance from the origin to each triangle along each direction; infinite for a miss (Möller and Trumbore
+    1997)."""
     a, e, g = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     # Scalar triple products with the direction are linear in it.
     across = np.cross(e, g)
     determinant = -directions @ across.T
     u = directions @ np.cross(a, g).T
     v = -directions @ np.cross(a, e).T
-    # A ray along a triangle's plane misses it, by NaN or infinity.
+    # A ray in a triangle's plane misses it, by NaN or infinity.
     with np.errstate(divide="ignore", invalid="ignore"):
         u, v = u / determinant, v / determinant
         t = -np.einsum("fk,fk->f", a, across)[None] / determinant
@@ -281,7 +282,7 @@ def _crossings(corners: Corners, directions: Directions) -> Float[HostArray, "d 
 
 
 def _sphere(count: int) -> Float[HostArray, "d 3"]:
-    """Even directions, on a Fibonacci spiral."""
+    """Evenly distributed directions on a Fibonacci spiral."""
     i = np.arange(count) + 0.5
     y, turn = 1 - 2 * i / count, np.pi * (1 + 5**0.5) * i
     across = np.sqrt(1 - y * y)

@@ -1,6 +1,6 @@
 """Procedural meshes by name, for scenes that need no file.
 
-Every piece is about one world unit in size and stands on the ground at the origin: its lowest point is at y = 0, and
+Every piece is about one world unit in size and is placed on the ground at the origin. Its lowest point is at y = 0, and
 its bounding box is centred in x and z. All but `plane` are closed two-manifolds. All faces are anticlockwise seen from
 outside.
 """
@@ -26,7 +26,7 @@ from ._subdivide import split_in_four
 Number = float | int
 
 _SMOOTH, _SHARP = 180.0, 30.0
-# Squared lengths of normals, which are cross products of edges, grow with the fourth power of size. Within these sizes
+# Normals are cross products of edges, so their squared lengths grow with the fourth power of size. Within these sizes,
 # they fit single precision.
 _MIN_SIZE, _MAX_SIZE = 1e-6, 1e9
 # Two million triangles, about 200 MB.
@@ -43,9 +43,9 @@ _MAX_SEED = 2**32 - 1
 
 
 class OptionError(ValueError):
-    """An option that is not valid for a mesh of the library.
+    """An invalid option for a mesh of the library.
 
-    - `option`: its name; `what`: what was given, what was expected, and how to mend it.
+    - `option`: its name; `what`: the given value, the expected value, and the remedy.
     """
 
     def __init__(self, piece: str, option: str, what: str):
@@ -94,7 +94,7 @@ def low_poly_sphere(radius: Number = 0.5, subdivisions: int = 1, smooth: bool = 
 
 
 def torus(radius: Number = 0.35, tube: Number = 0.15, segments: int = 64, sides: int = 32) -> Mesh:
-    """A torus that lies on the ground; `radius` of the ring and radius of the `tube` in world units."""
+    """A torus on the ground; `radius` of the ring and radius of the `tube` in world units."""
     _check_positive("torus", radius=radius, tube=tube)
     _check_tube("torus", segments, sides)
     if tube >= radius:
@@ -114,11 +114,11 @@ def torus_knot(
 
     **Arguments:**
 
-    - `p`, `q`: how often the curve winds around the axis of its torus, and through its hole. They must be coprime.
+    - `p`, `q`: the windings of the curve around the axis of its torus, and through its hole. They must be coprime.
     - `radius`: radius of the torus' ring, world units; the torus is half as thick, so the knot is 3 · `radius` + 2 ·
         `tube` wide.
     - `tube`: radius of the knot's tube, world units; strands intersect if it is too thick.
-    - `segments`, `sides`: how many faces the tube has along it and around it.
+    - `segments`, `sides`: the number of faces along the tube and around it.
     """
     _check_positive("torus_knot", radius=radius, tube=tube)
     _check_tube("torus_knot", segments, sides)
@@ -148,7 +148,7 @@ def fence(
     **Arguments:**
 
     - `width`, `height`: size of the whole fence, world units.
-    - `slats`: how many.
+    - `slats`: the number of slats.
     - `slat_width`, `thickness`: size of each slat along x and z, world units.
     """
     _check_positive("fence", width=width, height=height, slat_width=slat_width, thickness=thickness)
@@ -266,10 +266,9 @@ LIBRARY: Mapping[str, Callable[..., Mesh]] = MappingProxyType({name: globals()[n
 
 
 def library_mesh(name: str, /, **options: Any) -> Mesh:
-    """The library's mesh called `name`; `options` are the arguments of the function of that name.
+    """The library's mesh `name`. `options` are the arguments of the function with this name.
 
-    **Raises** `ValueError` if there is no such piece, and `OptionError` if it has no such option or the option's value
-    is not valid.
+    **Raises** `ValueError` if there is no such piece, and `OptionError` for an unknown option or an invalid value.
 
     !!! Example
 
@@ -450,6 +449,6 @@ def _icosahedron_faces(vertices: Float[HostArray, "12 3"]) -> Int[HostArray, "20
     """All triples of mutual neighbours, anticlockwise seen from outside."""
     near = vertices @ vertices.T > 0.4
     i, j, k = (index.reshape(-1) for index in np.meshgrid(*[np.arange(12)] * 3, indexing="ij"))
-    # One of each triangle's three rotations: it starts with its lowest vertex.
+    # One of each triangle's three rotations: the rotation that starts with the lowest vertex.
     outside = np.linalg.det(np.stack([vertices[i], vertices[j], vertices[k]], axis=1)) > 0
     return np.stack([i, j, k], axis=-1)[near[i, j] & near[j, k] & near[k, i] & outside & (i < j) & (i < k)]

@@ -1,4 +1,4 @@
-"""Reads OpenGL matrices: the eye's position, near and far, and whether the matrices are valid."""
+"""Reads OpenGL matrices: the eye's position, near and far, and checks of their validity."""
 
 from functools import partial
 from typing import Any
@@ -45,9 +45,9 @@ def matrices_of(name: str, world_to_eye: Any, eye_to_clip: Any, is_perspective: 
 def as_opengl(
     world_to_eye: Any, eye_to_clip: Any, left_handed: bool, depth: tuple[float, float]
 ) -> tuple[HostArray, HostArray]:
-    """An engine's matrices converted to OpenGL's conventions; arguments are as for `MatrixLight.from_engine`.
+    """An engine's matrices, converted to OpenGL's conventions. Arguments are as for `MatrixLight.from_engine`.
 
-    **Raises** `ValueError` for matrices that are not (4, 4), or equal depths.
+    **Raises** `ValueError` for matrices that are not (4, 4), or for equal depths.
     """
     view, projection = (np.array(matrix, np.float64) for matrix in (world_to_eye, eye_to_clip))
     for what, matrix in (("world_to_eye", view), ("eye_to_clip", projection)):
@@ -57,7 +57,7 @@ def as_opengl(
         raise ValueError(f"the engine's depth is {depth}; expected two numbers that differ, at near and far")
     near, far = depth
     if left_handed:
-        # Turned by half about y, the eye looks along -z, and x runs the other way in the image, too.
+        # After a half turn about y, the eye looks along -z, and x in the image is also reversed.
         view[[0, 2]] *= -1
         projection[:, [0, 2]] *= -1
         projection[0] *= -1
@@ -110,7 +110,8 @@ def _check_projection(name: str, matrix: np.ndarray | None, is_perspective: bool
 @partial(jax.jit, static_argnums=1)
 def near_far_of(eye_to_clip: Mat4, is_perspective: bool) -> tuple[Scalar, Scalar]:
     """Distances of window depth 0 and 1 along the view axis, world units."""
-    # Of a perspective, -(f + n) / (f - n) and -2 f n / (f - n); of a parallel one, -2 / (f - n) and -(f + n) / (f - n).
+    # For a perspective, -(f + n) / (f - n) and -2 f n / (f - n); for a parallel projection, -2 / (f - n) and -(f + n) /
+    # (f - n).
     slope, offset = eye_to_clip[2, 2], eye_to_clip[2, 3]
     if is_perspective:
         return offset / (slope - 1), offset / (slope + 1)
@@ -124,6 +125,6 @@ def eye_of(world_to_eye: Mat4) -> Vec3:
 
 
 def view_of(world_to_eye: Mat4, eye_to_clip: Mat4, is_perspective: bool) -> View:
-    """The view of both matrices."""
+    """The view with both matrices."""
     near, far = near_far_of(eye_to_clip, is_perspective)
     return View(world_to_eye, eye_to_clip, near, far, is_perspective)

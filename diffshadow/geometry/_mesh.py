@@ -23,7 +23,7 @@ from ._trimesh import Triangles, TriangleScene, parts_of
 
 # The albedo of a mesh without colours.
 _GREY = 0.8
-# From where a mesh is shown.
+# The direction from which a mesh is shown.
 _FROM = np.array([0.8, 0.7, 1.0])
 
 
@@ -46,11 +46,11 @@ class Mesh(eqx.Module):
 
     - `vertices`: (v, 3), world units.
     - `faces`: (f, 3), indices into `vertices`, anticlockwise seen from outside.
-    - `corner_normals`: (f, 3, 3), a unit shading normal for each corner of each face, so that creases have one per
-        side. Defaults to the face normals.
+    - `corner_normals`: (f, 3, 3), a unit shading normal for each corner of each face. Each side of a crease therefore
+      has its own normals. Defaults to the face normals.
     - `albedo`: (f, 3), diffuse colour in [0, 1]. Defaults to light grey; to white with `corner_colours` or `textures`.
-    - `corner_colours`: (f, 3, 3), a colour in [0, 1] for each corner of each face; or `None`.
-    - `textures`: textures of the faces; or `None`.
+    - `corner_colours`: (f, 3, 3), a colour in [0, 1] for each corner of each face, or `None`.
+    - `textures`: textures of the faces, or `None`.
 
     The diffuse colour of a point is the product of `albedo`, the interpolated colour of the corners, and the texture's
     colour.
@@ -107,8 +107,8 @@ class Mesh(eqx.Module):
             )
         if textures is not None and textures.index.shape != self.faces.shape[:1]:
             raise ValueError(
-                f"the mesh's textures are for {textures.index.shape[0]} faces; expected {self.faces.shape[0]}, as many "
-                "as the mesh has"
+                f"the mesh's textures are for {textures.index.shape[0]} faces; expected {self.faces.shape[0]}, the "
+                "number of the mesh's faces"
             )
 
     def __check_init__(self):
@@ -135,32 +135,32 @@ class Mesh(eqx.Module):
 
     @classmethod
     def from_trimesh(cls, given: Triangles | TriangleScene, crease_angle: float | int | None = 30.0) -> "Mesh":
-        """The mesh of an object of trimesh, or of any other with `vertices` and `faces`.
+        """The mesh of a trimesh object, or of any other object with `vertices` and `faces`.
 
-        Vertices at the same position are welded, as `io.load_mesh` does.
+        Vertices at the same position are welded, as in `io.load_mesh`.
 
         **Arguments:**
 
         - `given`: a `trimesh.Trimesh`; a `trimesh.Scene`, whose meshes are merged with the transforms of its graph; or
             an object with `vertices` (v, 3) and triangular `faces` (f, 3). Colours of faces, vertices and materials
-            become albedo without conversion. A texture of base colour needs texture coordinates (`visual.uv`). Its sRGB
-            colours are converted to linear colours. It repeats and is bilinear, since trimesh keeps no samplers. A glTF
-            material's alpha test is obeyed.
-        - `crease_angle`: degrees; edges bent by more are shaded sharp (`crease_normals`). `None` for the object's own
-            `vertex_normals`.
+            become albedo without conversion. A base-colour texture needs texture coordinates (`visual.uv`). Its sRGB
+            colours are converted to linear colours. It repeats and is bilinear, because trimesh does not store
+            samplers. A glTF material's alpha test is applied.
+        - `crease_angle`: degrees. Edges with a larger angle are shaded as sharp (`crease_normals`). `None` uses the
+          object's `vertex_normals`.
 
         **Warns** about geometries of a scene without faces, such as paths, which are left out.
 
         **Raises** `ValueError` if there are no triangles, an array has a wrong shape, an index is out of range, a
-        vertex is not finite, or normals are asked for and missing.
+        vertex is not finite, or normals are requested and missing.
         """
         return merge(meshes_of(given, crease_angle))
 
     def to_trimesh(self) -> Any:
-        """A `trimesh.Trimesh` of the same vertices and faces in the same order, with the albedo as colours of faces.
+        """A `trimesh.Trimesh` with the same vertices and faces in the same order, and the albedo as face colours.
 
-        Colours have 8 bits; a face whose colour varies has its mean colour. Normals are computed by trimesh, which
-        stores no normals for corners.
+        Colours have 8 bits. A face with a varying colour has its mean colour. trimesh computes the normals, because it
+        does not store normals for corners.
         """
         check_outside_trace("Mesh.to_trimesh", "a mesh of known numbers", "call it outside", self)
         import trimesh  # which takes long to load
@@ -169,7 +169,7 @@ class Mesh(eqx.Module):
         return trimesh.Trimesh(np.asarray(self.vertices), np.asarray(self.faces), face_colors=colours, process=False)
 
     def transformed(self, matrix: Mat4) -> "Mesh":
-        """The mesh under an affine `matrix`, normals under its inverse transpose; a reflection flips the faces."""
+        """The mesh under an affine `matrix`, with normals under its inverse transpose. A reflection flips the faces."""
         vertices, faces, normals = _transformed(matrix, self.vertices, self.faces, self.corner_normals)
         colours, textures = self.corner_colours, self.textures
         if colours is not None or textures is not None:
@@ -179,7 +179,7 @@ class Mesh(eqx.Module):
         return Mesh(vertices, faces, normals, self.albedo, colours, textures)
 
     def _repr_html_(self) -> str | None:
-        """A picture from above the front's right."""
+        """A picture from the upper right of the front."""
         if not is_known(self):
             return None
         faces, (low, high) = np.asarray(self.faces), np.asarray(self.bounds)
@@ -193,8 +193,8 @@ class Mesh(eqx.Module):
         return as_html(f"Mesh: {counted(len(faces), 'triangle')}, {len(seen):,} vertices, {size} world units", image)
 
     def padded(self, to: tuple[int, int] | None = None) -> "Mesh":
-        """The mesh with extra faces. They are points, so that they are invisible. Its arrays then have one of a few
-        sizes, so that meshes of similar size share compiled programs. A traced mesh stays as it is.
+        """The mesh with extra faces. They are points, and therefore invisible. Its arrays then have one of a few sizes,
+        so that meshes of similar size share compiled programs. A traced mesh is returned unchanged.
 
         **Arguments:** `to`: the numbers of faces and vertices after padding; by default the next of a few sizes.
         """
@@ -214,24 +214,24 @@ class Mesh(eqx.Module):
             arrays.append(padded_to(self.corner_colours, faces))
         if self.textures is not None:
             arrays += jax.tree.leaves(self.textures.padded(faces))
-        # Without the checks of a mesh from outside, which take longer.
+        # Without the checks for users' meshes, which take longer.
         return jax.tree.unflatten(jax.tree.structure(self), jax.device_put(arrays))
 
     @property
     def alpha_test(self) -> Textures | None:
-        """The textures if some of them have an alpha test; `None` if all faces are whole."""
+        """The textures if some of them have an alpha test; `None` if no face is cut out."""
         return None if self.textures is None or self.textures.cutoff is None else self.textures
 
     @property
     def bounds(self) -> Float[Array, "2 3"]:
-        """Least and greatest coordinates of the vertices that faces use, (2, 3), world units."""
+        """Minimum and maximum coordinates of the vertices that faces use, (2, 3), world units."""
         xp = array_module(self.vertices, self.faces)
         used = xp.asarray(self.vertices)[xp.asarray(self.faces)].reshape(-1, 3)
         return as_float(xp.stack([used.min(axis=0), used.max(axis=0)]))
 
 
 MeshLike = Mesh | Triangles | TriangleScene
-"""A mesh, or what `Mesh.from_trimesh` converts to one."""
+"""A mesh, or an object that `Mesh.from_trimesh` converts to one."""
 
 
 def meshes_of(given: Triangles | TriangleScene, crease_angle: float | int | None = 30.0) -> list[Mesh]:
@@ -243,7 +243,7 @@ def meshes_of(given: Triangles | TriangleScene, crease_angle: float | int | None
 
 
 def as_mesh(given: Any, name: str = "the mesh") -> Mesh:
-    """`given` if it is a mesh, or else `Mesh.from_trimesh(given)`. Messages call it `name`.
+    """`given` if it is a mesh, and otherwise `Mesh.from_trimesh(given)`. Messages call it `name`.
 
     **Raises** the errors of `Mesh.from_trimesh`, and `TypeError` for any other object.
     """
@@ -260,7 +260,7 @@ def face_normals(mesh: Mesh) -> Float[Array, "f 3"]:
     vertices, faces = mesh.vertices, mesh.faces
     if array_module(vertices, faces) is jnp:
         return _face_normals(vertices, faces)
-    # Filled up, so that meshes of like size share a program.
+    # Padded, so that meshes of similar size share a program.
     size, count = shared_mesh_size(faces.shape[0], vertices.shape[0])
     return as_float(np.asarray(_face_normals(padded_to(vertices, count), padded_to(faces, size)))[: faces.shape[0]])
 
@@ -309,7 +309,7 @@ def merge(meshes: Sequence[MeshLike]) -> Mesh:
 
 
 def _merged_colours(meshes: Sequence[Mesh]) -> Float[Array, "f 3 3"] | None:
-    """The colours of corners of all `meshes`; white where a mesh has none. None if no mesh has any."""
+    """The corner colours of all `meshes`; white for a mesh without them. `None` if no mesh has any."""
     if all(mesh.corner_colours is None for mesh in meshes):
         return None
     xp = array_module(*(mesh.corner_colours for mesh in meshes))
@@ -320,8 +320,8 @@ def _merged_colours(meshes: Sequence[Mesh]) -> Float[Array, "f 3 3"] | None:
 
 
 def face_colours(mesh: Mesh) -> Float[HostArray, "f 3"]:
-    """One colour for each face of a mesh whose values are known: its albedo, times the mean colour of its corners and
-    the texture's colour in its middle."""
+    """One colour for each face of a mesh with known values: its albedo, times the mean colour of its corners and the
+    texture's colour at its centre."""
     colours = np.asarray(mesh.albedo)
     if mesh.corner_colours is not None:
         colours = colours * np.asarray(mesh.corner_colours).mean(axis=1)

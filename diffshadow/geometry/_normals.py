@@ -13,11 +13,11 @@ from .._types import HostArray
 
 # Tolerance on the cosine between normals, so that coplanar triangles are not separated by rounding.
 _COSINE_SLACK = 1e-9
-# Pairs of corners compared at once; limits memory to a few hundred MB.
+# The number of corner pairs that are compared at once; limits memory to a few hundred MB.
 _PAIRS_PER_CHUNK = 1 << 21
 
-# Above this mean number of vertices per cell (cells are a little smaller than the tolerance), each cell is merged
-# before pairs are searched. Otherwise parts far smaller than the mesh's extent would have millions of pairs.
+# Above this mean number of vertices per cell (cells are slightly smaller than the tolerance), each cell is merged
+# before the search for pairs. Otherwise parts far smaller than the mesh's extent would have millions of pairs.
 _MAX_IN_CELL = 4
 # Odd multipliers of a hash of cells; two cells collide with a probability of 2⁻⁶⁴.
 _CELL_HASH = np.array([0x2545F4914F6CDD1D, 0x369DEA0F31A53F85, 0x5851F42D4C957F2D])
@@ -26,7 +26,7 @@ _CELL_HASH = np.array([0x2545F4914F6CDD1D, 0x369DEA0F31A53F85, 0x5851F42D4C957F2
 def weld(
     vertices: Float[HostArray, "v 3"], faces: Int[HostArray, "f 3"], tolerance: float | int = 1e-6
 ) -> tuple[Float[HostArray, "w 3"], Int[HostArray, "g 3"], Int[HostArray, " g"]]:
-    """Merges vertices at the same place.
+    """Merges vertices at the same position.
 
     Files split vertices at texture seams and hard edges, but silhouettes and shadow volumes need to know which
     triangles are neighbours.
@@ -35,13 +35,13 @@ def weld(
 
     - `vertices`: (v, 3), any unit.
     - `faces`: (f, 3), indices into `vertices`.
-    - `tolerance`: vertices whose distance is at most this fraction of the longest side of the bounding box are merged,
-        and chains of such vertices too; 0 merges only equal vertices. If the tolerance is so large that the average
-        vertex has dozens of others within it, some of these may stay separate.
+    - `tolerance`: vertices are merged if their distance is at most this fraction of the longest side of the bounding
+      box. Chains of such vertices are merged too. 0 merges only equal vertices. If the average vertex has dozens of
+      others within the tolerance, some of these may stay separate.
 
     **Returns:** vertices (w, 3), float64, faces (g, 3), int64, and (g,), the index of each face among the given faces.
-    Faces that lose a corner by the merge are dropped, and so are vertices that no face uses. The order is otherwise
-    kept. A merged vertex has the position of its first vertex.
+    Faces that lose a corner by the merge are dropped, and so are unused vertices. The order of the others does not
+    change. A merged vertex has the position of its first vertex.
 
     **Raises** `ValueError` if a vertex that a face uses is not finite, or the tolerance is negative.
     """
@@ -72,7 +72,7 @@ def weld(
 def crease_normals(
     vertices: Float[HostArray, "v 3"], faces: Int[HostArray, "f 3"], crease_angle: float | int = 30.0
 ) -> Float[HostArray, "f 3 3"]:
-    """A unit shading normal for each corner of each face, smooth except at creases.
+    """Unit shading normals for each corner of each face, smooth except at creases.
 
     A corner's normal is the mean over the faces around its vertex whose normals are within `crease_angle` of the
     corner's own face. Faces are weighted by their angle at the vertex, which makes the mean independent of the
@@ -96,7 +96,7 @@ def crease_normals(
     corner_vertex = faces.reshape(-1)
     weight = angles.reshape(-1)
 
-    # Sorted by valence and then by vertex, so that the corners of all vertices of one valence form a matrix.
+    # Sorted by valence and then by vertex, so that the corners of all vertices with the same valence form a matrix.
     valence = np.bincount(corner_vertex, minlength=len(vertices))
     order = np.lexsort((corner_vertex, valence[corner_vertex]))
     valences, counts = np.unique(valence[corner_vertex], return_counts=True)
@@ -113,21 +113,21 @@ def crease_normals(
 
 
 def _compact(faces: Int[HostArray, "f 3"]) -> tuple[Int[HostArray, " w"], Int[HostArray, "f 3"]]:
-    """The vertices in use, ascending, and the faces as indices into these."""
+    """The used vertices in ascending order, and the faces as indices into them."""
     used, inverse = np.unique(faces, return_inverse=True)
     return used, inverse.reshape(-1, 3)
 
 
 def _merge_close(points: Float[HostArray, "v 3"], tolerance: float | int) -> Int[HostArray, " v"]:
-    """A group number for each point, equal for points to be merged."""
+    """A group number for each point. Points to be merged have the same number."""
     distinct, group = np.unique(points, axis=0, return_inverse=True)
     group = group.reshape(-1)
     # Tolerances below rounding merge only equal points.
     if tolerance < np.finfo(np.float64).eps or len(distinct) < 2:
         return group
-    # By distance: the borders of a grid of cells would separate neighbours.
+    # Merged by distance, because the borders of a grid of cells would separate neighbours.
     reach = tolerance * np.ptp(distinct, axis=0).max()
-    # Cells so small that all their points are within reach of each other.
+    # Cells are so small that all of their points are within the tolerance of each other.
     cells = np.floor((distinct - distinct.min(axis=0)) * (3**0.5 / reach)).astype(np.int64)
     if len(distinct) > _MAX_IN_CELL * len(np.unique(cells @ _CELL_HASH)):
         _, first, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)

@@ -1,8 +1,8 @@
-"""The origin of a scene: the world point that its coordinates are counted from.
+"""The origin of a scene: the world point that its coordinates are relative to.
 
-Single precision has seven digits. Of a scene far from the world's origin, as of a city in its country's coordinates,
-they go to the distance, and none is left for the shadows. Such a scene has an origin of its own: it is subtracted from
-all meshes, cameras and lights once, in double precision.
+Single precision has seven digits. In a scene far from the world's origin, such as a city in national grid coordinates,
+the distance uses all of them, and none is left for the shadows. Such a scene has its own origin. It is subtracted once
+from all meshes, cameras and lights, in double precision.
 """
 
 from collections.abc import Sequence
@@ -13,15 +13,15 @@ import numpy as np
 from .._types import HostArray
 
 Origin = tuple[float, float, float]
-"""A world point that coordinates are counted from, in world units."""
+"""A world point that coordinates are relative to, in world units."""
 
 WORLD: Origin = (0.0, 0.0, 0.0)
 """The world's own origin."""
 
-# A scene no more than this many of its sizes from the world's origin is counted from there: rounding is at most a
+# A scene within this many of its sizes from the world's origin uses the world's origin. Rounding is then at most a
 # millionth of its size.
 _NEAR = 16.0
-# Steps of coordinates larger than this part of an extent are seen in its shadows.
+# Coordinate steps larger than this fraction of an extent are visible in its shadows.
 _COARSE = 2e-4
 
 
@@ -30,14 +30,15 @@ class PrecisionWarning(UserWarning):
 
 
 def origin_of(points: Any) -> Origin:
-    """The world point that the coordinates of `points` should be counted from.
+    """The origin for the coordinates of `points`.
 
     **Arguments:**
 
     - `points`: (n, 3), world units, in NumPy and in double precision: the vertices of all meshes of a scene.
 
-    **Returns:** (0, 0, 0), unless the points lie more than 16 of their sizes from there. Otherwise the middle of their
-    box, rounded to whole steps that are powers of two and no smaller than the box, so that round numbers stay round.
+    **Returns:** (0, 0, 0), unless the points are farther than 16 of their sizes from there. Otherwise the centre of
+    their box, rounded to whole steps that are powers of two and at least as large as the box, so that round numbers
+    stay round.
     """
     points = np.asarray(points, np.float64)
     low, high = points.min(axis=0), points.max(axis=0)
@@ -51,7 +52,7 @@ def origin_of(points: Any) -> Origin:
 
 def step_of(low: HostArray, high: HostArray) -> float:
     """The step between coordinates in single precision, in world units, at the farther corner of the box from `low` to
-    `high` (3,). It is 0 if the step is small compared with the box, or the box is a point."""
+    `high` (3,). It is 0 if the step is small compared with the box, or if the box is a point."""
     size = float((high - low).max())
     step = float(np.spacing(np.float32(max(np.abs(low).max(), np.abs(high).max()))))
     return step if step > _COARSE * size > 0 else 0.0

@@ -1,4 +1,4 @@
-"""Virtual shadow maps: only some parts of the map, its pages, are kept."""
+"""Virtual shadow maps, which store only some parts of the map: its pages."""
 
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ Broadcast = Int[Array, "*#n"]
 
 
 class Tile(NamedTuple):
-    """The part of a virtual map that a layer shows; or one part for each of several layers or points.
+    """The part of a virtual map that a layer shows, or one part for each of several layers or points.
 
     - `origin`: (2,), x and y of its first texel in the virtual map.
     - `size`: side of the virtual map, in texels.
@@ -25,17 +25,17 @@ class Tile(NamedTuple):
     size: Int[Array, "*n"]
 
     def facing(self, layer: Int[Array, "*n"]) -> "Tile":
-        """The tile of the `layer` of each point, taken from the tiles of several layers."""
+        """The tile of each point's `layer`, from the tiles of several layers."""
         return Tile(take(self.origin, layer), take(self.size, layer))
 
 
 class Pages(eqx.Module):
-    """The resident pages of a virtual map, each in a layer of its own.
+    """The resident pages of a virtual map. Each page has its own layer.
 
-    A virtual map has levels. Level 0, the finest, has `2^(levels - 1)` pages a side; each further level has half as
-    many, of twice the size. The last level is the root, whose only page is the whole map. A layer holds its page and a
-    gutter around it, as texels of the level's whole map; at the border of that map, the layer is moved inwards. The
-    root's layer has no gutter, and fills the layer.
+    A virtual map has levels. Level 0, the finest, has `2^(levels - 1)` pages per side. Each further level has half as
+    many pages, of twice the size. The last level is the root, whose only page is the whole map. A layer has its page
+    and a gutter around it, in texels of the level's whole map. At the border of that map, the layer is moved inwards.
+    The root's layer has no gutter, and fills the layer.
 
     - `page`: side of a page, in texels; a power of two.
     - `gutter`: texels around the page, on each side, at most half of `page`.
@@ -73,12 +73,12 @@ class Pages(eqx.Module):
 
     @staticmethod
     def total(levels: int) -> int:
-        """How many pages all levels have."""
+        """The number of pages in all levels."""
         return int(_starts(levels)[-1]) + 1
 
     @staticmethod
     def number(levels: int, level: Broadcast, row: Broadcast, column: Broadcast) -> Int[Array, "..."]:
-        """A page's number among the pages of all levels, given its row and column in its level."""
+        """A page's index among the pages of all levels, from its row and column in its level."""
         return take(jnp.asarray(_starts(levels)), level) + row * _across(levels, level) + column
 
     @property
@@ -105,7 +105,7 @@ class Pages(eqx.Module):
 
     @eqx.filter_jit
     def table(self) -> Int[Array, " n"]:
-        """The layer of each page of all levels, by its `number`; -1 where it is not resident."""
+        """The layer of each page of all levels, by its index; -1 if it is not resident."""
         layers = jnp.arange(self.level.shape[0], dtype=jnp.int32)
         number = Pages.number(self.levels, self.level, self.row, self.column)
         table = jnp.full(Pages.total(self.levels), -1, jnp.int32)
@@ -124,7 +124,7 @@ def side_of(page: int, gutter: int) -> int:
 @eqx.filter_jit
 def finest_of(table: Int[Array, " n"], levels: int) -> Int[Array, "c c"]:
     """For each page of level 0, the entry in `table` of the finest page that contains it. Pages with a negative entry
-    do not count; -1 if there is no other."""
+    do not count. -1 if no page counts."""
     cells = jnp.arange(1 << (levels - 1), dtype=jnp.int32)
     row, column = jnp.meshgrid(cells, cells, indexing="ij")
 

@@ -41,18 +41,17 @@ class Scene(eqx.Module):
     - `lights`: one light or several, stored as a tuple. May be left out for a `trimesh.Scene` that has lights: its
         directional, point and spot lights are used. Their shadow maps are fitted to the meshes, and their colours,
         intensities and ranges are ignored.
-    - `casts`: for each mesh, whether it casts a shadow; all cast if left out. A mesh that does not cast still receives
-        shadows. It also blocks no ray of the ray-traced reference, unless the reference has `blockers="all"`.
-    - `receives`: for each mesh, whether engines show shadows on it; on all if left out. Other techniques show them on
-        all meshes.
-    - `origin`: the world point that the coordinates of meshes, camera and lights are counted from. A scene far from the
+    - `casts`: for each mesh, whether it casts a shadow; by default all cast. A mesh that does not cast still receives
+      shadows. It does not block rays of the reference, unless the reference has `blockers="all"`.
+    - `receives`: for each mesh, whether engines show shadows on it; by default on all. Other techniques show shadows on
+      all meshes.
+    - `origin`: the world point that the coordinates of meshes, camera and lights are relative to. A scene far from the
         world's origin needs one, see `origin_of`; a configuration's scene has it.
 
     **Raises** `ValueError` if there is no mesh, no camera or no light, if no mesh casts, or unless `casts` and
     `receives` have one entry per mesh.
 
-    **Warns** with `PrecisionWarning` if the meshes are so far from their origin that single precision cannot hold their
-    shape.
+    **Warns** with `PrecisionWarning` if the meshes are too far from their origin for single precision.
 
     !!! Example
 
@@ -107,7 +106,7 @@ class Scene(eqx.Module):
                     "expected one each"
                 )
         if self.casts is not None and not any(self.casts):
-            raise ValueError("no mesh of the scene casts shadows; expected one that does: set one of casts to True")
+            raise ValueError("no mesh of the scene casts shadows; expected at least one: set one of casts to True")
         self._check_precision()
 
     def _check_precision(self) -> None:
@@ -133,7 +132,7 @@ class Scene(eqx.Module):
         return shown_with_values(self)
 
     def _repr_html_(self) -> str | None:
-        """A picture of what the camera sees, without shadows."""
+        """A picture of the camera's view, without shadows."""
         if not is_known(self):
             return None
         mesh, view = self.mesh, self.camera.view()
@@ -189,7 +188,7 @@ class Scene(eqx.Module):
         """
         if not 0 <= index < len(self.lights):
             raise ValueError(
-                f"the scene has no light {index}; expected an index from 0 to {len(self.lights) - 1}, since it has "
+                f"the scene has no light {index}; expected an index from 0 to {len(self.lights) - 1}, because it has "
                 f"{len(self.lights)} lights"
             )
         return dataclasses.replace(self, lights=self.lights[index])

@@ -1,4 +1,4 @@
-"""Shading normals that follow vertices which are moved one by one."""
+"""Shading normals that follow individually moved vertices."""
 
 from collections.abc import Collection
 
@@ -12,19 +12,20 @@ from .._types import HostArray, Vertices
 from ._mesh import Mesh
 from ._normals import normals_and_angles
 
-# Means that miss a corner's normal by as little are equally good, by the cosine between them.
+# Means whose distances from a corner's normal differ by less than this count as equally good, by the cosine between
+# them.
 _AS_GOOD = 1e-6
 
 
 class Smoothing(eqx.Module):
-    """The faces over which the shading normals of a mesh are smooth, at the corners whose normals change with some
+    """The faces over which a mesh's shading normals are smooth, at the corners whose normals depend on the given
     vertices.
 
     A corner's normal is the mean over the faces around its vertex whose normals are within some angle of its own
-    face's, as `crease_normals` makes it. The angle is the one that explains the normal best: 0 for flat shading, 180
-    degrees for a smooth vertex.
+    face's, as in `crease_normals`. The angle is the one that explains the normal best: 0 for flat shading, 180 degrees
+    for a smooth vertex.
 
-    - `corner`: (n,), corners, 3 · face + place in the face.
+    - `corner`: (n,), corners, 3 · face + index in the face.
     - `around`: (n, d), the corners that the mean is taken over; `counts`: (n, d), which of these entries are corners.
     """
 
@@ -36,7 +37,7 @@ class Smoothing(eqx.Module):
     def of(cls, mesh: Mesh, moved: Collection[int]) -> "Smoothing":
         """The smoothing at all corners whose normals depend on the vertices `moved`, indices into `mesh.vertices`."""
         points, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces)
-        # Vertices at the same place are one: files split them where normals differ.
+        # Vertices at the same position count as one. Files split them where normals differ.
         place = np.unique(points, axis=0, return_inverse=True)[1].reshape(-1)[faces]
         at_moved = np.isin(faces, list(moved)).any(axis=1)
         touched = np.isin(place, place[at_moved])
@@ -56,15 +57,15 @@ class Smoothing(eqx.Module):
         return cls(as_array(np.array(corners, np.int32)), as_array(around), as_array(counts))
 
     def corner_normals(self, mesh: Mesh, vertices: Vertices) -> Float[Array, "f 3 3"]:
-        """The shading normals (f, 3, 3) of `mesh` once it has these vertices, differentiable.
+        """The shading normals (f, 3, 3) of `mesh` with these vertices, differentiable.
 
-        The mesh's own normals change by as much as the means do. So normals from a file are kept, such as the exact
-        normals of a curved surface, and they do not jump when a vertex begins to move.
+        The mesh's own normals change by as much as the means do. Normals from a file, such as the exact normals of a
+        curved surface, are therefore kept. They do not jump when a vertex begins to move.
         """
         given = mesh.corner_normals.reshape(-1, 3)
         own = take(given, self.corner)
         change = self._means(mesh, vertices) - self._means(mesh, mesh.vertices)
-        # Added to what is there, so that normals at rest stay as they are to the last digit.
+        # Changes are added, so that normals at rest do not change in the last digit.
         moved = own + (normalize(own + change) - normalize(own))
         return given.at[self.corner].set(moved).reshape(mesh.corner_normals.shape)
 
@@ -85,9 +86,9 @@ class Smoothing(eqx.Module):
 def _smooth_sets(
     given: Float[HostArray, "d 3"], normals: Float[HostArray, "d 3"], angles: Float[HostArray, " d"]
 ) -> Bool[HostArray, "d d"]:
-    """For each corner at a vertex, over which of its `d` corners its `given` normal is the mean.
+    """For each corner at a vertex, which of its `d` corners have its `given` normal as their mean.
 
-    Of several explanations that are as good, it is the one over most corners.
+    If several explanations are equally good, the one with the most corners is chosen.
     """
     cosines = normals @ normals.T
     sets = np.eye(len(given), dtype=bool)

@@ -1,11 +1,11 @@
 """Textures of base colour and alpha.
 
-The texels of all textures of a mesh lie in one array, one row of texels after the other, and a table says where each
-texture begins and how large it is. So any number of textures of any size is read by one gather, meshes are merged by
-concatenation, and arrays are filled up to a few sizes.
+The texels of all textures of a mesh are in one array, row by row. A table has the start and the size of each texture.
+Any number of textures of any size is therefore read by one gather, meshes are merged by concatenation, and arrays are
+padded to a few sizes.
 
-By default textures are read as by glTF's default sampler: bilinear between the four nearest texels, and repeated beyond
-[0, 1]. There are no mipmaps: a texture that is finer than the pixels is sampled, and not averaged.
+By default, textures are read as by glTF's default sampler: bilinear between the four nearest texels, and repeated
+beyond [0, 1]. There are no mipmaps: a texture that is finer than the pixels is sampled without averaging.
 """
 
 import dataclasses
@@ -32,15 +32,15 @@ _WRAPS: tuple[Wrap, ...] = get_args(Wrap)
 _FILTERS: tuple[TexelFilter, ...] = get_args(TexelFilter)
 _REPEAT, _CLAMP, _MIRROR = range(len(_WRAPS))
 _NEAREST = _FILTERS.index("nearest")
-# A texture's table has rows for so many textures, at least.
+# The minimum number of rows of a texture's table.
 _FEWEST = 4
 
 
 class Sampler(NamedTuple):
     """How a texture is read.
 
-    - `wrap`: what it shows beyond [0, 1] along u and along v: `"repeat"`, `"clamp"` or `"mirror"`.
-    - `filter`: what it shows between the middles of texels: `"linear"` or `"nearest"`.
+    - `wrap`: the wrapping beyond [0, 1] along u and along v: `"repeat"`, `"clamp"` or `"mirror"`.
+    - `filter`: the filter between the centres of texels: `"linear"` or `"nearest"`.
     """
 
     wrap: tuple[Wrap, Wrap] = ("repeat", "repeat")
@@ -48,7 +48,7 @@ class Sampler(NamedTuple):
 
     @classmethod
     def of(cls, wrap: Wraps, filter: TexelFilter) -> "Sampler":
-        """A sampler with one `wrap` for both axes, or one for each. **Raises** `ValueError` for another word."""
+        """A sampler with one `wrap` for both axes, or one for each. **Raises** `ValueError` for an unknown word."""
         words = (wrap, wrap) if isinstance(wrap, str) else tuple(wrap)
         if len(words) != 2 or not all(word in _WRAPS for word in words):
             raise ValueError(f"the texture's wrap is {wrap!r}; expected {' or '.join(_WRAPS)}, or a pair of these")
@@ -58,7 +58,7 @@ class Sampler(NamedTuple):
 
     @classmethod
     def of_codes(cls, codes: Any) -> "Sampler":
-        """Of a row of `Textures.samplers`."""
+        """The sampler of a row of `Textures.samplers`."""
         u, v, filter = np.asarray(codes).tolist()
         return cls((_WRAPS[u], _WRAPS[v]), _FILTERS[filter])
 
@@ -70,7 +70,7 @@ class Sampler(NamedTuple):
 
 
 def sampler_codes(samplers: list[Sampler]) -> Int[HostArray, "t 3"] | None:
-    """`Textures.samplers` for textures with these samplers; none if all samplers are the default."""
+    """`Textures.samplers` for textures with these samplers; `None` if all samplers are the default."""
     return None if all(one == Sampler() for one in samplers) else np.array([one.codes for one in samplers], np.int32)
 
 
@@ -79,7 +79,7 @@ class Textures(eqx.Module):
 
     - `uv`: (f, 3, 2), texture coordinates of each corner of each face: (0, 0) is the image's lower left corner, and (1,
         1) the upper right corner.
-    - `index`: (f,), which texture each face has; `NO_TEXTURE` for none.
+    - `index`: (f,), the index of each face's texture, or `NO_TEXTURE`.
     - `texels`: (n, 4), linear red, green, blue and alpha in [0, 1], of all textures; row 0 of each image is its bottom
         row.
     - `table`: (t, 3), the first texel, the height and the width of each texture.
@@ -89,10 +89,10 @@ class Textures(eqx.Module):
     - `corner_alpha`: (f, 3), alpha in [0, 1] of each corner of each face. The interpolated alpha of the corners is
         multiplied by the texture's alpha, and the product is compared with `cutoff`. `None` if all are 1.
 
-    Colours and `uv` are differentiable. The result of an alpha test is yes or no, so it has no derivative with respect
-    to texels, `uv` or `cutoff`. Its outlines do not move in a fit.
+    Colours and `uv` are differentiable. An alpha test is binary, so it has no derivative with respect to texels, `uv`
+    or `cutoff`. Its outlines do not move in a fit.
 
-    **Raises** `ValueError` if an array has another shape, or if a texel, an index or a place in the table is out of its
+    **Raises** `ValueError` if an array has another shape, or if a texel, an index or a row of the table is out of
     range.
 
     !!! Example
@@ -182,13 +182,13 @@ class Textures(eqx.Module):
 
         - `image`: (h, w, 3) or (h, w, 4), linear colours in [0, 1], with alpha or opaque; row 0 is the bottom row.
         - `uv`: (f, 3, 2), texture coordinates of the corners of faces.
-        - `cutoff`: alpha below which faces are cut out, as by `discard` in a shader; `None` for no alpha test.
+        - `cutoff`: alpha below which faces are cut out, like `discard` in a shader; `None` for no alpha test.
         - `wrap`: the wrapping beyond [0, 1]: `"repeat"`, `"clamp"` or `"mirror"`, or a pair of these, along u and along
             v.
         - `filter`: the filter between the centres of texels: `"linear"` or `"nearest"`.
         - `corner_alpha`: (f, 3), alpha of the corners of faces, which the alpha test multiplies by the image's alpha.
 
-        **Raises** `ValueError` for another shape, values out of range, or another word.
+        **Raises** `ValueError` for another shape, values out of range, or an unknown word.
         """
         xp = array_module(image)
         texels = xp.asarray(image)
@@ -204,7 +204,7 @@ class Textures(eqx.Module):
         return cls(uv, index, texels.reshape(-1, 4), table, cutoff, samplers, corner_alpha)
 
     def images(self) -> list[Float[HostArray, "h w 4"]]:
-        """Each texture's texels, (h, w, 4), row 0 the bottom row; the values must be known."""
+        """Each texture's texels, (h, w, 4), with row 0 at the bottom. The values must be known."""
         texels = np.asarray(self.texels)
         table = np.asarray(self.table).tolist()
         return [texels[first : first + rows * columns].reshape(rows, columns, 4) for first, rows, columns in table]
@@ -215,12 +215,12 @@ class Textures(eqx.Module):
         return [Sampler.of_codes(row) for row in np.asarray(samplers)]
 
     def at(self, index: Int[Array, "*n"], uv: Float[Array, "*n 2"]) -> Float[Array, "*n 4"]:
-        """The colours of textures at texture coordinates; 1 where there is no texture."""
+        """The colours of textures at texture coordinates; 1 without a texture."""
         colours = read_texels(self.texels, self.table, self.samplers, index, uv)
         return jnp.where((index >= 0)[..., None], colours, 1)
 
     def for_faces(self, faces: Any) -> "Textures":
-        """The textures of a mesh that has these `faces` (g,) of the mesh."""
+        """The textures of the mesh with only the faces `faces` (g,)."""
         xp = array_module(self.uv, self.index)
         return self._of_faces(*(None if each is None else as_array(xp.asarray(each)[faces]) for each in self._by_face))
 
@@ -243,7 +243,7 @@ class Textures(eqx.Module):
         if self.samplers is None:
             return xp.floor(corner)
         wrap = xp.asarray(self.samplers)[:, None, :2][xp.maximum(xp.asarray(self.index), 0)]
-        # Each other repetition is a mirror image, and a border goes on for ever.
+        # Every second repetition is a mirror image, and a border continues forever.
         length = xp.where(wrap == _MIRROR, 2, 1)
         return xp.where(wrap == _CLAMP, 0, length * xp.floor(corner / length))
 
@@ -266,8 +266,8 @@ class Textures(eqx.Module):
         return (self.texels.shape[0], self.table.shape[0]) == self._padded_size
 
     def padded(self, faces: int) -> "Textures":
-        """The same textures with added faces, texels and textures that are never visible, so that arrays have one of a
-        few sizes."""
+        """The textures with added faces, texels and textures that are never visible, so that arrays have one of a few
+        sizes."""
         size, count = self._padded_size
         more = [
             padded_to(self.uv, faces),
@@ -281,20 +281,21 @@ class Textures(eqx.Module):
         return self._with(*more)
 
     def _with(self, *arrays: Any) -> "Textures":
-        """With these arrays as fields, in their order, without the checks of textures from outside."""
+        """Textures with these arrays as fields, in order, without the checks for users' textures."""
         fields = lambda one: [getattr(one, field.name) for field in dataclasses.fields(Textures)]
         return eqx.tree_at(fields, self, list(arrays), is_leaf=lambda leaf: leaf is None)
 
 
 def linear_colours(encoded: Float[HostArray, "*n c"]) -> Float[HostArray, "*n c"]:
-    """Colours in [0, 1] that are stored as sRGB (IEC 61966-2-1), linear; a fourth channel, alpha, stays as it is."""
+    """Colours in [0, 1] that are stored as sRGB (IEC 61966-2-1), converted to linear. A fourth channel, alpha, does not
+    change."""
     colours = encoded[..., :3]
     linear = from_srgb(colours)
     return np.concatenate([linear, encoded[..., 3:]], axis=-1)
 
 
 def scaled_cutoff(cutoff: float, factor: float) -> float:
-    """The cutoff of texels whose alpha is multiplied by `factor` before it is compared with `cutoff`."""
+    """The cutoff for texels whose alpha is multiplied by `factor` before the comparison with `cutoff`."""
     return cutoff / factor if factor > 0 else (0.0 if cutoff <= 0 else 2.0)
 
 
@@ -305,7 +306,7 @@ def read_texels(
     index: Int[Array, "*m"],
     uv: Float[Array, "*m 2"],
 ) -> Float[Array, "*m c"]:
-    """The colours of the textures `index` at `uv`; where there is no texture, the first texture's colour."""
+    """The colours of the textures `index` at `uv`. Without a texture, the first texture's colour."""
     of = jnp.maximum(index, 0)
     first, height, width = (take(table[:, k], of) for k in range(3))
     codes = (None, None, None) if samplers is None else [take(samplers[:, k], of) for k in range(3)]
@@ -320,8 +321,8 @@ def read_texels(
 
 
 def _neighbours(coordinate: Array, size: Array, wrap: Array | None, filter: Array | None) -> tuple[Array, Array, Array]:
-    """The two texels beside a texture coordinate, and how far it lies from the first to the second. Without `wrap` and
-    `filter`, of a texture that repeats and is read bilinearly."""
+    """The two texels next to a texture coordinate, and its position between the first and the second. Without `wrap`
+    and `filter`, the texture repeats and is read bilinearly."""
     # Within one repetition before it is scaled, which keeps the digits.
     within = coordinate - jnp.floor(coordinate)
     before, behind = size - 1, 0
@@ -329,7 +330,7 @@ def _neighbours(coordinate: Array, size: Array, wrap: Array | None, filter: Arra
         in_two = coordinate - 2 * jnp.floor(coordinate / 2)
         within = jnp.where(wrap == _MIRROR, jnp.minimum(in_two, 2 - in_two), within)
         within = jnp.where(wrap == _CLAMP, jnp.clip(coordinate, 0, 1), within)
-        # Beside the border lies the texel of the other end, or the border itself.
+        # Beyond the border is the texel of the other end, or the border itself.
         before, behind = jnp.where(wrap == _REPEAT, before, 0), jnp.where(wrap == _REPEAT, behind, size - 1)
     place = within * size - 0.5
     first = jnp.floor(place)
@@ -343,7 +344,7 @@ def _neighbours(coordinate: Array, size: Array, wrap: Array | None, filter: Arra
 
 
 def merged(textures: list["Textures | None"], counts: list[int]) -> Textures | None:
-    """The merged textures of meshes, given how many faces each mesh has; none if no mesh has textures."""
+    """The merged textures of meshes with these numbers of faces. `None` if no mesh has textures."""
     given = [each for each in textures if each is not None]
     if not given:
         return None
@@ -352,7 +353,7 @@ def merged(textures: list["Textures | None"], counts: list[int]) -> Textures | N
     has_alpha = is_given("corner_alpha")
     uv, index, texels, table, cutoff, samplers, alpha = ([] for _ in range(7))
     number = texel = 0
-    # Meshes that share an array of texels share it here, too.
+    # Meshes that share an array of texels also share it here.
     starts: dict[int, int] = {}
     for each, count in zip(textures, counts, strict=True):
         if has_alpha:
@@ -376,5 +377,5 @@ def merged(textures: list["Textures | None"], counts: list[int]) -> Textures | N
     joined = [xp.concatenate(parts) for parts in (uv, index, texels, table)]
     for name, parts in (("cutoff", cutoff), ("samplers", samplers), ("corner_alpha", alpha)):
         joined.append(xp.concatenate(parts) if is_given(name) else None)
-    # Each was checked before.
+    # Each mesh was checked before.
     return given[0]._with(*(None if array is None else as_array(array) for array in joined))

@@ -1,6 +1,6 @@
 """Rigid and projective transforms, all `(4, 4)` matrices that act on column vectors from the left.
 
-Outside of a trace each is one compiled program, which all cameras and lights share.
+Outside of `jit`, each is one compiled program, which all cameras and lights share.
 """
 
 import jax
@@ -34,7 +34,7 @@ def rotation(axis: Vec3, angle: Scalar | float) -> Mat4:
 
 
 def rotation_less_one(vector: Vec3) -> Float[Array, "3 3"]:
-    """The rotation about `vector` by its length in radians (Rodrigues' formula) less the identity, smooth at 0."""
+    """The rotation about `vector` by its length in radians (Rodrigues' formula), minus the identity, smooth at 0."""
     x, y, z = vector
     zero = jnp.zeros_like(x)
     cross = jnp.stack([jnp.stack(row) for row in ([zero, -z, y], [z, zero, -x], [-y, x, zero])])
@@ -127,18 +127,19 @@ def centred_orthographic(extent: Float[Array, "2"], near: Scalar, far: Scalar) -
 
 @jax.jit
 def transform_points(matrix: Float[Array, "*m 4 4"], points: Float[Array, "*n 3"]) -> Float[Array, "*k 4"]:
-    """Homogeneous image of `points`: `matrix @ [p, 1]`, without the divide; one matrix, or one for each point."""
+    """Homogeneous image of `points`: `matrix @ [p, 1]`, without the divide. One matrix for all points, or one for
+    each."""
     return _linear(matrix[..., :, :3], points) + matrix[..., :, 3]
 
 
 @jax.jit
 def transform_vectors(matrix: Float[Array, "*m 4 4"], vectors: Float[Array, "*n 3"]) -> Float[Array, "*k 3"]:
-    """Image of `vectors` under the linear part of `matrix`; one matrix, or one for each vector."""
+    """Image of `vectors` under the linear part of `matrix`. One matrix for all vectors, or one for each."""
     return _linear(matrix[..., :3, :3], vectors)
 
 
 def _linear(m: Float[Array, "*m r 3"], v: Float[Array, "*n 3"]) -> Float[Array, "*k r"]:
-    # Written out, since some backends lower the precision of matrix products.
+    # Written out, because some backends lower the precision of matrix products.
     return v[..., 0:1] * m[..., :, 0] + v[..., 1:2] * m[..., :, 1] + v[..., 2:3] * m[..., :, 2]
 
 

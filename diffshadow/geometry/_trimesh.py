@@ -1,6 +1,7 @@
-"""Triangles of trimesh's objects, and of others that have vertices and faces, as arrays.
+"""Triangles of trimesh objects, and of others with vertices and faces, as arrays.
 
-Objects are known by their attributes, so that nothing here loads trimesh: whoever has such an object has loaded it.
+Objects are recognised by their attributes, so this module does not load trimesh. A user with such an object has already
+loaded it.
 """
 
 import warnings
@@ -51,9 +52,9 @@ class Part(NamedTuple):
 
     - `vertices`: (v, 3), welded, float64; `faces`: (f, 3), indices into these.
     - `normals`: (f, 3, 3), a unit normal for each corner.
-    - `albedo`: (f, 3), in [0, 1]; none if the object has no colours.
-    - `corner_colours`: (f, 3, 3), in [0, 1], of its vertices; none if these have no colours.
-    - `textures`: textures of its base colour; or none.
+    - `albedo`: (f, 3), in [0, 1]; `None` if the object has no colours.
+    - `corner_colours`: (f, 3, 3), in [0, 1], from its vertices; `None` if they have no colours.
+    - `textures`: textures of its base colour, or `None`.
     """
 
     vertices: Float[HostArray, "v 3"]
@@ -65,9 +66,8 @@ class Part(NamedTuple):
 
 
 def parts_of(given: Triangles | TriangleScene, crease_angle: float | int | None) -> list[Part]:
-    """The triangles of `given`, a part for each node of a scene that has some, in the order of its graph.
-
-    **Warns** of geometries without faces, such as paths and point clouds, which are left out.
+    """The triangles of `given`, with one part for each scene node that has triangles, in the order of its graph.
+    **Warns** about geometries without faces, such as paths and point clouds, which are left out.
 
     **Raises** `ValueError` if there are no triangles, an array has a wrong shape, an index is out of range, or a vertex
     is not finite.
@@ -77,9 +77,9 @@ def parts_of(given: Triangles | TriangleScene, crease_angle: float | int | None)
     placed = [(node, *given.graph[node]) for node in given.graph.nodes_geometry]
     left_out = sorted({str(name) for _, _, name in placed if not isinstance(given.geometry[name], Triangles)})
     if left_out:
-        # The user's line, whichever of the functions that take meshes it calls.
+        # The warning points to the user's line, whichever function takes the meshes.
         package = __file__.removesuffix("geometry/_trimesh.py")
-        message = f"the scene is taken without {', '.join(left_out)}: expected faces, and found none"
+        message = f"the scene is used without {', '.join(left_out)}: expected faces, and found none"
         warnings.warn(message, skip_file_prefixes=(package,))
     parts = [
         _part(given.geometry[name], np.asarray(matrix, np.float64), crease_angle, f"the scene's mesh {node!r}")
@@ -100,7 +100,9 @@ def _part(given: Triangles, to_world: Float[HostArray, "4 4"], crease_angle: flo
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
     if len(welded) == 0:
-        raise ValueError(f"every triangle of {name} has two corners at the same position; expected some with an area")
+        raise ValueError(
+            f"every triangle of {name} has two corners at the same position; expected triangles with an area"
+        )
     if crease_angle is None:
         normals = _own_normals(given, to_world, name)[faces[kept]]
     else:
@@ -148,7 +150,7 @@ def _own_normals(given: Triangles, to_world: Float[HostArray, "4 4"], name: str)
 
 
 def _albedo(given: Triangles, count: int) -> Float[HostArray, "f 3"] | None:
-    """The colour of each of `count` faces; none if there are no colours."""
+    """The colour of each of `count` faces; `None` if there are no colours."""
     visual = getattr(given, "visual", None)
     if not getattr(visual, "defined", False):
         return None
@@ -167,12 +169,12 @@ def _albedo(given: Triangles, count: int) -> Float[HostArray, "f 3"] | None:
 
 
 def _vertex_colours(given: Triangles) -> Float[HostArray, "v c"] | None:
-    """The colours of vertices, perhaps with alpha, in [0, 1]; none if they have no colours of their own."""
+    """The colours of vertices, possibly with alpha, in [0, 1]; `None` if they have no colours."""
     visual = getattr(given, "visual", None)
     if getattr(visual, "kind", None) == "vertex":
         stored = getattr(visual, "vertex_colors", ())
     else:
-        # Beside a texture.
+        # Together with a texture.
         attributes = getattr(visual, "vertex_attributes", None)
         stored = attributes.get("color", ()) if isinstance(attributes, Mapping) else ()
     colours = np.asarray(stored)
@@ -183,7 +185,7 @@ def _vertex_colours(given: Triangles) -> Float[HostArray, "v c"] | None:
 
 
 def _image(material: Any) -> Any:
-    """The image of a material's base colour; none if it has none."""
+    """The image of a material's base colour, or `None`."""
     image = getattr(material, "baseColorTexture", None)
     return getattr(material, "image", None) if image is None else image
 
@@ -191,8 +193,8 @@ def _image(material: Any) -> Any:
 def _textures(
     given: Triangles, faces: Int[HostArray, "f 3"], colours: Float[HostArray, "v c"] | None
 ) -> Textures | None:
-    """The texture of base colour, and its alpha test; none without an image or texture coordinates. The objects hold no
-    samplers."""
+    """The base-colour texture and its alpha test; `None` without an image or texture coordinates. The objects do not
+    store samplers."""
     visual = getattr(given, "visual", None)
     material, uv = getattr(visual, "material", None), getattr(visual, "uv", None)
     image = None if material is None else _image(material)

@@ -12,7 +12,7 @@ from .lights import AbstractLight, DirectionalLight, PointLight, SpotLight
 
 
 def camera_of(scene: Any) -> PinholeCamera | None:
-    """The camera of `scene`; none if the scene has no camera of its own (trimesh makes one on demand)."""
+    """The camera of `scene`; `None` if the scene has no camera of its own (trimesh makes one on demand)."""
     if not getattr(scene, "has_camera", False):
         return None
     camera, pose = scene.camera, np.asarray(scene.camera_transform, np.float64)
@@ -29,11 +29,11 @@ def camera_of(scene: Any) -> PinholeCamera | None:
 
 
 def lights_of(scene: Any, points: Float[Array, "n 3"]) -> tuple[AbstractLight, ...]:
-    """The lights of `scene`, with shadow maps fitted to `points`; none if the scene has no lights of its own.
+    """The lights of `scene`, with shadow maps fitted to `points`; `None` if the scene has no lights of its own.
 
     **Raises** `ValueError` for a light that is not a directional, point or spot light.
     """
-    # `scene.lights` would make some.
+    # `scene.lights` would create lights.
     lights = getattr(scene, "_lights", None) or ()
     return tuple(_light(light, np.asarray(scene.graph[light.name][0], np.float64), points) for light in lights)
 

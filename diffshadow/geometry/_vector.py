@@ -1,4 +1,4 @@
-"""Vectors whose components can be fitted one by one."""
+"""Vectors whose components can be fitted individually."""
 
 import equinox as eqx
 import jax.numpy as jnp

@@ -15,7 +15,7 @@ from ._warp import Warp
 class View(eqx.Module):
     """A pose and a projection.
 
-    A light may have several views: then `world_to_eye` is (l, 4, 4), or `eye_to_clip` is, or both.
+    If a light has several views, `world_to_eye` or `eye_to_clip` or both have shape (l, 4, 4).
 
     - `world_to_eye`: (4, 4), rigid; the eye looks along `-z`.
     - `eye_to_clip`: (4, 4), OpenGL clip space.
@@ -23,11 +23,10 @@ class View(eqx.Module):
         for all, or (l,).
     - `is_perspective`: whether sizes shrink with distance.
     - `steps`: (2,), for a parallel view: the number of steps along x and y for each unit of clip space. Vertices are
-        drawn at whole steps, counted from the eye's axis rather than the window's border. A window that moves by whole
-        steps then sees the same triangles to the bit. `None` if vertices are not snapped to steps. For several views,
-        (l, 2).
+      drawn at whole steps from the eye's axis, not from the window's border. A window that moves by whole steps then
+      sees the same triangles to the bit. `None` if vertices are not snapped to steps. For several views, (l, 2).
     - `warp`: for a parallel view without steps: a perspective of its window. It moves points in the window, and keeps
-        the depths of the parallel view. None for no warp.
+      the depths of the parallel view. `None` for no warp.
     - `tile`: for a parallel view: the part of a virtual map that each layer shows. The projection covers the whole
         virtual map. `None` if a map shows the whole window. A virtual map that is smaller than its layer ends within
         the layer.
@@ -57,13 +56,13 @@ class View(eqx.Module):
         return view if self.tile is None else dataclasses.replace(view, tile=self.tile.facing(layer), pages=None)
 
     def whole(self, resolution: tuple[int, int]) -> tuple[int | Int[Array, "*n"], int | Int[Array, "*n"]]:
-        """(height, width) in texels of the map that the projection shows, given a layer's `resolution`. If the layer is
-        a part of a virtual map, the size of the virtual map."""
+        """(height, width), in texels, of the map that the projection shows, for layers of `resolution`. If the layer is
+        a part of a virtual map, this is the size of the virtual map."""
         return resolution if self.tile is None else (self.tile.size, self.tile.size)
 
     def shown(self, resolution: tuple[int, int]) -> tuple[int | Int[Array, "*n"], int | Int[Array, "*n"]]:
-        """(height, width) in texels of the used part of a layer of `resolution`: smaller than the layer if the virtual
-        map ends within it."""
+        """(height, width), in texels, of the used part of a layer of `resolution`. It is smaller than the layer if the
+        virtual map ends within it."""
         if self.tile is None:
             return resolution
         end = self.tile.size[..., None] - self.tile.origin
@@ -87,7 +86,7 @@ class View(eqx.Module):
 
     @eqx.filter_jit
     def clip(self, points: Float[Array, "*n 3"]) -> Float[Array, "*k 4"]:
-        """Clip coordinates of world `points`; for a light with several views, with one view for each point."""
+        """Clip coordinates of world `points`. For a light with several views, one view for each point."""
         # Two steps keep precision for small scenes far from the world's origin.
         eye = transform_points(self.world_to_eye, points)[..., :3]
         clip = transform_points(self.eye_to_clip, eye)
@@ -110,7 +109,7 @@ class View(eqx.Module):
 
     @eqx.filter_jit
     def shifted(self, texels: Float[Array, "2"], resolution: tuple[int, int]) -> "View":
-        """The view with its window moved: points move by so many `texels` along x and y of a map of `resolution`.
+        """The view with a shifted window: points move by `texels` along x and y of a map of `resolution`.
 
         **Raises** `ValueError` unless texels are even.
         """
@@ -158,8 +157,8 @@ class View(eqx.Module):
 
         **Arguments:**
 
-        - `texel`: where in the map, x and y in texels. Only texels of a warped view depend on it. If left out, the
-            result is for the view without the warp.
+        - `texel`: the position in the map, x and y in texels. Only texels of a warped view depend on it. Without it,
+          the result is for the view without the warp.
         """
         height, width = self.whole(resolution)
         # Clip space spans 2 units over the map; the projection's diagonal is clip units per eye unit (at distance 1).
@@ -178,15 +177,15 @@ class View(eqx.Module):
     ) -> Float[Array, "*n"]:
         """The geometric mean of a texel's width and height, in world units; arguments as for `texel_extent`."""
         extent = self.texel_extent(distance, resolution, texel)
-        # Not by `prod`, since XLA fuses no reductions.
+        # Not `prod`, because XLA does not fuse reductions.
         return jnp.sqrt(extent[..., 0] * extent[..., 1])
 
     def along_axes(
         self, gradient: Float[Array, "*n 2"], texel: Float[Array, "*n 2"], resolution: tuple[int, int]
     ) -> Float[Array, "*n 2"]:
         """The change of a quantity along the rows and columns of a map of `resolution` at `texel`, per unit of x and y,
-        from the `gradient` of the quantity along x and y in eye space. Both are the same, unless a warp makes the
-        columns lean."""
+        from the `gradient` of the quantity along x and y in eye space. Both are the same, unless a warp tilts the
+        columns."""
         if self.warp is None:
             return gradient
         in_clip = self.warp.lean(texel[..., 0] * (2 / resolution[1]) - 1)

@@ -11,9 +11,9 @@ class Warp(eqx.Module):
     """A perspective along the y axis of a parallel view, which enlarges the lower end of its window (light space
     perspective shadow maps, Wimmer, Scherzer & Purgathofer 2004).
 
-    Let τ in [0, 1] be the height of a point in the window without the warp, and w the strength. The point then lies at
-    the height `s = (1 + w) τ / (1 + w τ)`, and its distance to the line x = `center` is divided by `1 + w τ`. So the
-    lower border keeps its width, and `w = 0` changes nothing.
+    Let τ in [0, 1] be the height of a point in the window without the warp, and w the strength. The point moves to the
+    height `s = (1 + w) τ / (1 + w τ)`, and its distance to the line x = `center` is divided by `1 + w τ`. The lower
+    border keeps its width, and `w = 0` changes nothing.
 
     - `strength`: w, 0 or more: the window's height divided by the distance from its lower border to the centre of
         projection, which lies below the window.
@@ -26,7 +26,7 @@ class Warp(eqx.Module):
     def __call__(self, clip: Float[Array, "*n 4"]) -> Float[Array, "*n 4"]:
         """Warped clip coordinates.
 
-        Window depth is divided by `1 + w τ`, so that depths keep their order at each texel, and planes stay planes.
+        Window depth is divided by `1 + w τ`. Depths therefore keep their order at each texel, and planes stay planes.
         """
         # x and y move towards the point where all columns meet at infinity, and z towards the near plane.
         away = self.strength * (clip[..., 1] + clip[..., 3]) / 2

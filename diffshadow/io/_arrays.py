@@ -1,6 +1,6 @@
 """Reads arrays from `.npz` archives that may be damaged. Headers are checked before memory is allocated.
 
-`np.load` allocates whatever a member's header asks for, even if the archive holds less.
+`np.load` allocates the memory that a member's header requests, even if the archive is smaller.
 """
 
 import math
@@ -19,16 +19,16 @@ from ._errors import FileError
 _SUFFIX = ".npy"
 _READ_HEADER = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 _KINDS = {"f": "real numbers", "i": "whole numbers", "u": "whole numbers", "b": "booleans"}
-# The longest axis accepted where the layout gives no length.
+# The longest axis that is accepted if the layout does not fix its length.
 _LONGEST = 1 << 24
 
 
 class ArrayLayout(NamedTuple):
-    """What an array must look like.
+    """The layout of an array.
 
     - `kinds`: the accepted `kind` letters of its dtype: `f` real, `i` and `u` whole, `b` boolean.
     - `shape`: its length along each axis; `None` for any length from 1 to 2²⁴.
-    - `required`: whether the archive must hold it.
+    - `required`: whether the archive must have it.
     - `bytes`: bytes per number; `None` accepts any size.
     """
 
@@ -38,7 +38,7 @@ class ArrayLayout(NamedTuple):
     bytes: int | None = None
 
     def fault(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> str | None:
-        """What is wrong with an array of this shape and type, and what was expected; `None` if it fits."""
+        """The fault of an array with this shape and type, and the expected layout; `None` if it fits."""
         if dtype.kind not in self.kinds or dtype.itemsize != (self.bytes or dtype.itemsize):
             size = "" if self.bytes is None else f" of {8 * self.bytes} bits"
             return f"holds {dtype}; expected {_KINDS[self.kinds[0]]}{size}"
@@ -58,7 +58,7 @@ def read_arrays(path: str | os.PathLike[str], layouts: Mapping[str, ArrayLayout]
     Types and shapes are checked against `layouts` and against the sizes of the archive's members before memory is
     allocated.
 
-    **Raises** `FileError` if the archive cannot be read, is damaged, lacks a required array, or holds one that does
+    **Raises** `FileError` if the archive cannot be read, is damaged, lacks a required array, or has an array that does
     not match its layout.
     """
     try:
@@ -75,7 +75,7 @@ def read_arrays(path: str | os.PathLike[str], layouts: Mapping[str, ArrayLayout]
 
 
 def read_all_arrays(stream: IO[bytes]) -> dict[str, HostArray]:
-    """Reads all arrays of an `.npz` archive, and checks that each member is as long as its header says.
+    """Reads all arrays of an `.npz` archive, and checks the length of each member against its header.
 
     **Raises** `FileError`, or whatever `zipfile` and NumPy raise, if the archive is damaged.
     """
@@ -118,5 +118,5 @@ def _array(archive: zipfile.ZipFile, name: str, layout: ArrayLayout | None = Non
         # The member's size in the archive may be wrong too. Reading to the end also verifies the checksum.
         if len(content) != size or member.read(1):
             raise FileError(f"the array {name} has {len(content):,} bytes; expected {size:,}")
-    # A bytearray: an array backed by bytes is read-only.
+    # A bytearray, because an array backed by bytes is read-only.
     return np.ndarray(shape, dtype, bytearray(content), order="F" if is_fortran else "C")

@@ -38,7 +38,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def check_writable(folder: str | os.PathLike[str]) -> None:
-    """Checks that files can be written to `folder`, which need not exist yet. Leaves nothing behind.
+    """Checks that files can be written to `folder`, which may not exist yet. Removes its test file.
 
     **Raises** `FileError` if the folder cannot be created or written to; the message says why.
     """
@@ -65,7 +65,7 @@ def check_writable(folder: str | os.PathLike[str]) -> None:
     finally:
         with contextlib.suppress(OSError):
             probe.unlink()
-        # A folder that another process has written to in the meantime is not empty, and stays.
+        # A folder that another process has written to in the meantime is not empty, so it stays.
         with contextlib.suppress(OSError):
             for level in reversed(made):
                 level.rmdir()

@@ -1,7 +1,7 @@
-"""A cache on disk: of results, keyed by their inputs, and of the programs that JAX compiled.
+"""A cache on disk for results, keyed by their inputs, and for the programs that JAX compiled.
 
-A key is a hash of everything the result depends on, so an entry is never out of date: changed inputs have another
-key. The least recently used entries are removed when a folder grows too large.
+A key is a hash of all inputs of the result. Changed inputs have a different key, so an entry is never out of date. The
+least recently used entries are removed when a folder grows too large.
 """
 
 import contextlib
@@ -25,13 +25,13 @@ from ._errors import FileError
 # Part of every key. Increase it when entries of older versions must no longer be read.
 _FORMAT = 1
 CACHE_LIMIT = 2 << 30
-"""Bytes of results, and again of compiled programs, beyond which the least recently used are removed."""
-# Looking through a folder takes longer the more it holds, so it is pruned only once so many bytes have been added.
+"""The limit of all results, and of all compiled programs, in bytes. Beyond it, the least recently used are removed."""
+# Scanning a folder takes longer the larger it is, so it is pruned only after this many new bytes.
 _BETWEEN = CACHE_LIMIT >> 6
 _added: dict[Path, int] = {}
-# Entries, and temporary files of writers that were killed. No other file in the folder is ever removed.
+# The names of entries, and of temporary files of killed writers. Other files in the folder are never removed.
 _RESULT = re.compile(r"\.?[0-9a-f]{64}(-[0-9a-f]+)?\.npz")
-# JAX names them by function and key.
+# JAX names programs by function and key.
 _PROGRAM = re.compile(r".+-[0-9a-f]{64}-(cache|atime)")
 
 
@@ -44,8 +44,8 @@ def cached_arrays(
 
     **Arguments:**
 
-    - `key_parts`: everything the result depends on: numbers, strings, `None`, arrays, and lists, tuples and mappings
-        of these. Include a version of the algorithm.
+    - `key_parts`: all inputs of the result: numbers, strings, `None`, arrays, and lists, tuples and mappings of these.
+      Include a version of the algorithm.
     - `compute`: called without arguments if there is no entry; returns arrays by name.
     - `folder`: the cache folder; by default `$DIFFSHADOW_CACHE`, or `diffshadow` in the user's cache folder
         (`$XDG_CACHE_HOME` or `~/.cache`).
@@ -53,7 +53,7 @@ def cached_arrays(
     **Returns:** the arrays by name, in host memory. An entry that cannot be read is recomputed. If the folder cannot
     be written to, a warning says so and the result is still returned.
 
-    **Raises** `ValueError` if `key_parts` holds something that cannot be hashed by its content.
+    **Raises** `ValueError` if `key_parts` has an object that cannot be hashed by its content.
     """
     key = cache_key(key_parts)
     try:
@@ -76,7 +76,7 @@ def cached_arrays(
 
 
 def cached_content(key: str) -> bytes | None:
-    """The file of the entry with this `key` in `cache_folder`; none if there is none that can be read."""
+    """The file of the entry with this `key` in `cache_folder`, or `None` if there is no readable entry."""
     try:
         return (cache_folder() / f"{key}.npz").read_bytes()
     except (OSError, RuntimeError):
@@ -141,15 +141,16 @@ def cache_size(folder: str | os.PathLike[str]) -> tuple[int, int]:
 
 
 def programs_folder() -> Path:
-    """The folder for compiled programs: JAX's own setting (`JAX_COMPILATION_CACHE_DIR`), or one in `cache_folder`."""
+    """The folder for compiled programs: JAX's setting (`JAX_COMPILATION_CACHE_DIR`), or a folder in `cache_folder`."""
     return Path(jax.config.jax_compilation_cache_dir or cache_folder() / "xla")
 
 
 def keep_compiled_programs(folder: str | os.PathLike[str] | None = None) -> None:
-    """Lets JAX keep compiled programs in `folder`, by default `programs_folder`: the next process then starts sooner.
+    """Lets JAX keep compiled programs in `folder`, by default `programs_folder`, so that the next process starts
+    sooner.
 
-    A folder that the user set (`JAX_COMPILATION_CACHE_DIR`) is used, and its settings are not changed. Any other is
-    pruned. Nothing is kept if the folder cannot be written to.
+    If the user has set a folder (`JAX_COMPILATION_CACHE_DIR`), it is used unchanged. Any other folder is pruned.
+    Nothing is kept if the folder cannot be written to.
     """
     if jax.config.jax_compilation_cache_dir:
         return
@@ -159,28 +160,29 @@ def keep_compiled_programs(folder: str | os.PathLike[str] | None = None) -> None
         folder.mkdir(parents=True, exist_ok=True)
         prune_cache(folder)
         jax.config.update("jax_compilation_cache_dir", str(folder))
-        # Small programs are quicker to read than to compile, too.
+        # Small programs are also faster to read than to compile.
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
 def _entries(folder: Path) -> list[tuple[int, int, Path]]:
-    """Time of last use in nanoseconds, size in bytes and path of each entry; none if there is no folder."""
+    """Time of last use in nanoseconds, size in bytes and path of each entry. Empty if there is no folder."""
     entries = []
     for path in folder.iterdir() if folder.is_dir() else ():
         is_program = _PROGRAM.fullmatch(path.name) is not None
         if is_program or _RESULT.fullmatch(path.name):
             with contextlib.suppress(FileNotFoundError):  # another process removed it
                 status = path.stat()
-                # Reading a result sets its modification time. Of programs, most file systems note the day of last use.
+                # Reading a result sets its modification time. For programs, most file systems record the day of last
+                # use.
                 used = max(status.st_mtime_ns, status.st_atime_ns if is_program else 0)
                 entries.append((used, status.st_size, path))
     return entries
 
 
 def _feed(update: Callable[[bytes], None], part: Any) -> None:
-    """Hashes one part. A tag and a length before each part keep different parts from producing the same bytes."""
+    """Hashes one part. A tag and a length precede each part, so that different parts cannot produce the same bytes."""
     match part:
-        # Arrays first, since some of NumPy's scalars are also Python scalars.
+        # Arrays come first, because some NumPy scalars are also Python scalars.
         case np.ndarray() | np.generic() | jax.Array():
             _feed_array(update, np.asarray(part))
         case None | bool() | str():
@@ -239,7 +241,7 @@ def _read(entry: Path) -> dict[str, HostArray] | None:
             arrays = {name.removeprefix("_"): array for name, array in read_all_arrays(file).items()}
     except Exception:  # zipfile and NumPy's header parser raise many types
         return None
-    # Pruning takes the modification time as the time of last use. The file may belong to another user.
+    # Pruning uses the modification time as the time of last use. The file may belong to another user.
     with contextlib.suppress(OSError):
         os.utime(entry)
     return arrays

@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator, Sequence
 from typing import TypeGuard
 
-# The most names in one sentence.
+# The maximum number of names in one sentence.
 _SHOWN = 4
 
 
@@ -15,27 +15,27 @@ class FileError(ValueError):
 
 
 class FullDiskError(FileError):
-    """There is no space left to write a file or folder."""
+    """There is no space left for a file or folder."""
 
 
-# What systems answer where no space, or nothing of a quota, is left.
+# The error codes of systems without space, or with an exhausted quota.
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 def is_full_disk(error: BaseException | None) -> bool:
-    """Whether `error`, or its cause, is that no space is left."""
+    """Whether `error` or its cause says that no space is left."""
     return any(isinstance(each, FullDiskError) or _is_full(each) for each in _chain(error))
 
 
 @contextlib.contextmanager
 def naming_full_disks(path: str | os.PathLike[str], more: str = "") -> Iterator[None]:
-    """`path` is written in the block; `more` follows the message.
+    """Wraps a block that writes `path`. `more` follows the message.
 
-    **Raises** `FullDiskError` with this path if no space is left for it.
+    **Raises** `FullDiskError` with this path if there is no space for it.
     """
     try:
         yield
-    except Exception as error:  # libraries raise types of their own while they handle the system's
+    except Exception as error:  # Libraries raise their own types while they handle the system's error.
         if not is_full_disk(error):
             raise
         reason = next((each.strerror for each in _chain(error) if _is_full(each)), os.strerror(errno.ENOSPC))
@@ -50,7 +50,7 @@ def _is_full(error: BaseException) -> TypeGuard[OSError]:
 
 
 def _chain(error: BaseException | None) -> Iterator[BaseException]:
-    """An error and what led to it."""
+    """An error and its chain of causes."""
     while error is not None:
         yield error
         error = error.__cause__ or error.__context__
@@ -69,14 +69,14 @@ class ImageWarning(FileWarning):
 
 
 class MeshError(Exception):
-    """What is wrong with a mesh file and how to mend it, phrased to follow the file's name.
+    """The fault of a mesh file and its remedy, phrased to follow the file's name.
 
-    The readers of the formats raise it; `load_mesh` puts the name in front.
+    The readers of the formats raise it; `load_mesh` adds the name.
     """
 
 
 class Faults:
-    """What is wrong with parts of a scene that are left out."""
+    """The faults of omitted parts of a scene."""
 
     def __init__(self):
         self._names: dict[str, list[str]] = {}
@@ -87,20 +87,20 @@ class Faults:
 
     @property
     def count(self) -> int:
-        """How many parts are left out."""
+        """The number of omitted parts."""
         return sum(map(len, self._names.values()))
 
     def remarks(self) -> list[str]:
-        """A sentence for each fault, with the names of the parts that have it."""
-        return [f"{some_of(names)}: left out, since the file {fault}" for fault, names in self._names.items()]
+        """A sentence for each fault, with the names of its parts."""
+        return [f"{some_of(names)}: left out, because the file {fault}" for fault, names in self._names.items()]
 
     def error(self) -> MeshError | None:
-        """The first fault; none if there is none."""
+        """The first fault, or `None`."""
         return next((MeshError(f"{fault} (in {names[0]})") for fault, names in self._names.items()), None)
 
 
 def some_of(names: Sequence[str]) -> str:
-    """The first of `names`, and how many others there are."""
+    """The first of `names`, and the number of the others."""
     rest = len(names) - _SHOWN
     return ", ".join(names[:_SHOWN]) + (f" and {rest} others" if rest > 1 else f" and {names[-1]}" if rest == 1 else "")
 

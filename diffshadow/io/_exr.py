@@ -18,14 +18,14 @@ from ._pixels import Merge, Pixels, check_size, mean_colour, upright
 from ._text import listed
 
 _DEEP = (OpenEXR.deepscanline, OpenEXR.deeptile)
-# Half floats have 11 bits. A colour and its alpha may be rounded apart by this much.
+# Half floats have 11 significant bits. The roundings of a colour and its alpha may differ by this much.
 _ROUNDING = 2**-10
 
 
 class _Chosen(NamedTuple):
-    """What is read of a file: the number of a part, and the names of its channels.
+    """The selected part of a file: its number, and the names of its channels.
 
-    - `alpha`: the alpha channel of their layer.
+    - `alpha`: the alpha channel of the same layer.
     """
 
     part: int
@@ -37,8 +37,7 @@ def read_exr(file: Path, merge: Merge = mean_colour) -> Pixels:
     """Reads the channel `Y`, or the result of `merge` for `R`, `G` and `B`, or the only channel, within the display
     window.
 
-    **Raises** `FileError` if none of these is there for every pixel of the window, and other errors if the file is
-    damaged.
+    **Raises** `FileError` if no such channel covers every pixel of the window, and other errors if the file is damaged.
     """
     try:
         with _silent(), OpenEXR.File(str(on_disk(file)), header_only=True) as exr:
@@ -78,7 +77,7 @@ def write_exr(file: Path, pixels: Float32[HostArray, "h w"]) -> None:
 
 @contextlib.contextmanager
 def _silent() -> Iterator[None]:
-    """Silences OpenEXR, which prints errors of a damaged file straight to the terminal."""
+    """Silences OpenEXR, which prints errors of a damaged file directly to the terminal."""
     sys.stderr.flush()
     errors = os.dup(2)
     with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):
@@ -105,14 +104,15 @@ def _choose(file: Path, headers: Sequence[Mapping[str, Any]]) -> _Chosen:
         return [*named, *found][0]
     parts = [listed(_names(header)) for header in headers]
     if len(headers) > 1:
-        parts = [f"{names} in its part {_part(headers, i)}" for i, names in enumerate(parts)]
+        parts = [f"{names} in part {_part(headers, i)}" for i, names in enumerate(parts)]
     raise FileError(
         f"the image file {file} has the channels {', '.join(parts)}; expected Y, or R, G and B, or only one"
     )
 
 
 def _channels(names: Sequence[str]) -> tuple[list[str], str] | None:
-    """The channels of a part to read, and the name of their alpha. Of several layers, the one without a name."""
+    """The channels of a part to read, and the name of their alpha. If there are several layers, the layer without a
+    name is read."""
     layers = {name.rpartition(".")[0] for name in names}
     prefix = f"{next(iter(layers))}." if len(layers) == 1 and "" not in layers else ""
     colours, alpha = [f"{prefix}{colour}" for colour in "RGB"], f"{prefix}A"
@@ -137,7 +137,7 @@ def _corners(window: Any) -> tuple[HostArray, HostArray]:
 
 
 def _within(file: Path, header: Mapping[str, Any]) -> tuple[slice, slice]:
-    """The rows and columns of the data window that the display window shows.
+    """The rows and columns of the data window inside the display window.
 
     **Raises** `FileError` if the data window does not cover the display window.
     """
@@ -147,7 +147,7 @@ def _within(file: Path, header: Mapping[str, Any]) -> tuple[slice, slice]:
         raise FileError(
             f"the image file {file} has no pixels for a part of its picture: its dataWindow is from "
             f"{shown(low, high)}, its displayWindow from {shown(first, last)}; expected a dataWindow that covers the "
-            "displayWindow: write the whole picture, or set its displayWindow to what it shows"
+            "displayWindow: write the whole picture, or set its displayWindow to the picture"
         )
     columns, rows = (slice(int(first[k] - low[k]), int(last[k] - low[k]) + 1) for k in (0, 1))
     return rows, columns
@@ -173,13 +173,13 @@ def _check(file: Path, header: Mapping[str, Any], names: Sequence[str]) -> None:
 def _without_alpha(
     colours: Sequence[Float32[HostArray, "h w"]], alpha: Float32[HostArray, "h w"], remarks: list[str]
 ) -> list[Float32[HostArray, "h w"]]:
-    """The colours, which the format stores multiplied by alpha, as if they were opaque. Adds to `remarks`."""
+    """The colours, divided by alpha. The format stores them multiplied by alpha. Adds to `remarks`."""
     is_partial = (alpha > 0) & (alpha < 1)
     see_through = np.count_nonzero(alpha < 1)
     if see_through:
         remarks.append(
-            f"has {see_through} pixels that are transparent, at least in part; their colours are divided by alpha, by "
-            "which EXR stores them multiplied, and read as they are where alpha is 0: write it without alpha"
+            f"has {see_through} pixels that are transparent, at least in part; EXR stores colours multiplied by "
+            "alpha, so they are divided by it where it is not 0: write the image without alpha"
         )
     opaque = []
     for colour in colours:
@@ -189,13 +189,13 @@ def _without_alpha(
 
 
 def _remarks(headers: Sequence[Mapping[str, Any]], chosen: _Chosen) -> Iterator[str]:
-    """What the headers say of the pixels that is not obeyed."""
+    """Remarks on ignored pixel properties in the headers."""
     header = headers[chosen.part]
     taken = {*chosen.channels, chosen.alpha}
     others = [f"channel {name}" for name in _names(header) if name not in taken]
     others += [f"part {_part(headers, i)}" for i in range(len(headers)) if i != chosen.part]
     if others:
-        part = f" of its part {_part(headers, chosen.part)}" if len(headers) > 1 else ""
+        part = f" of part {_part(headers, chosen.part)}" if len(headers) > 1 else ""
         yield f"is read from {', '.join(chosen.channels)}{part}; left out: {listed(others)}"
     aspect = header.get("pixelAspectRatio", 1)
     if abs(aspect - 1) > 0.01:

@@ -36,7 +36,7 @@ class _Triangles(NamedTuple):
 class Part(NamedTuple):
     """The triangles of a primitive of a node's mesh, in world space.
 
-    - `vertices`, `normals`: (v, 3); the normals are none if the file has none.
+    - `vertices`, `normals`: (v, 3); `normals` is `None` if the file has none.
     - `faces`: (t, 3), indices into `vertices`.
     - `look`: its base colour.
     """
@@ -50,8 +50,8 @@ class Part(NamedTuple):
 
 
 class PlacedNode(NamedTuple):
-    """A node of the scene, its number in the file and its matrix to world space, and whether it and the nodes above it
-    are visible."""
+    """A node of the scene with its number in the file, its matrix to world space, and whether it and all of its
+    ancestors are visible."""
 
     node: Node
     number: int
@@ -59,7 +59,7 @@ class PlacedNode(NamedTuple):
     is_visible: bool
 
 
-# Primitive modes other than triangles: their names, and how many primitives n vertices make.
+# Primitive modes other than triangles: their names, and the number of primitives that n vertices make.
 _OTHERS = {
     0: ("point", lambda n: n),
     1: ("line", lambda n: n // 2),
@@ -69,8 +69,8 @@ _OTHERS = {
 _LIST, _STRIP, _FAN = 4, 5, 6
 HIDDEN_MESH, NO_POSITIONS = "hidden mesh", "primitive without positions"
 CUT_OUT = "primitive that its alpha test cuts out"
-_UNREAD_SKIN = "that cannot be read, so that its size and place are those of its vertices and its node"
-# Their matrices take half a gigabyte.
+_UNREAD_SKIN = "that cannot be read, so its size and position come from its vertices and its node"
+# The matrices of this many instances take half a gigabyte.
 _MAX_INSTANCES = 1 << 22
 # The attributes of instances.
 _PLACEMENT: Mapping[str, Form] = {"TRANSLATION": "VEC3", "ROTATION": "VEC4", "SCALE": "VEC3"}
@@ -107,7 +107,7 @@ def read_gltf(data: bytes, folder: Path) -> Polygons:
 
 
 def _looks(parts: Sequence[Part]) -> Looks | None:
-    """The looks of parts one after the other; none if none has a material or colours."""
+    """The looks of several parts, joined. `None` if no part has a material or colours."""
     looks = [part.look for part in parts]
     if all(look.factor is None and look.colours is None for look in looks):
         return None
@@ -178,7 +178,7 @@ def parts_of(
                         posed = None
                         left_out[f"skin of {node.name or mesh.name or 'mesh'} {_UNREAD_SKIN}"] = 1
                     if posed is not None:
-                        # The node's own place does not count.
+                        # The node's own position does not count.
                         triangles, to_world = _Triangles(*posed), np.eye(4)
                     places = to_world @ _instances(node, buffers)
                     yield Part(node, primitive, *repeated(*triangles, places), look.repeated(len(places)))
@@ -189,7 +189,7 @@ def parts_of(
 
 
 def _flat(part: Part) -> Part:
-    """The part with the normals of its faces, which the format prescribes where it stores none."""
+    """The part with face normals, which the format prescribes if it stores no normals."""
     corners = part.vertices[part.faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     faces = np.arange(part.faces.size).reshape(-1, 3)
@@ -199,9 +199,8 @@ def _flat(part: Part) -> Part:
 
 
 def nodes_of(document: Document) -> Iterator[PlacedNode]:
-    """The nodes of the scene.
-
-    The scene is the file's default one, otherwise its first one. In a file without scenes, all nodes are used.
+    """The nodes of the scene: the file's default scene, or otherwise its first one. In a file without scenes, all nodes
+    are used.
     """
     if document.scene is not None or document.scenes:
         roots = item(document.scenes, document.scene or 0, "scene").nodes
@@ -223,13 +222,14 @@ def nodes_of(document: Document) -> Iterator[PlacedNode]:
 
 
 def _is_hidden(node: Node) -> bool:
-    """Whether the node itself, not one above it, is hidden. Drafts of the extension have `hidden` for `visible`."""
+    """Whether the node itself is hidden, regardless of its ancestors. Drafts of the extension use `hidden` for
+    `visible`."""
     stored = node.extensions.get(VISIBILITY)
     return isinstance(stored, Mapping) and (stored.get("visible") is False or stored.get("hidden") is True)
 
 
 def _instances(node: Node, buffers: Buffers) -> Float[HostArray, "n 4 4"]:
-    """The matrices of the instances of the node's mesh, to the node's space."""
+    """The matrices from the instances of the node's mesh to the node's space."""
     stored = node.extensions.get(INSTANCES)
     attributes = stored.get("attributes") if isinstance(stored, Mapping) else None
     if not isinstance(attributes, Mapping) or not attributes:
@@ -244,7 +244,7 @@ def _instances(node: Node, buffers: Buffers) -> Float[HostArray, "n 4 4"]:
     counts = {len(rows) for rows in columns.values()}
     if len(counts) > 1:
         raise damaged(
-            f"its instances have {' and '.join(map(str, sorted(counts)))} rows; expected as many of each kind"
+            f"its instances have {' and '.join(map(str, sorted(counts)))} rows; expected the same number of each kind"
         )
     count = counts.pop() if counts else 1
     if count > _MAX_INSTANCES:
@@ -254,7 +254,7 @@ def _instances(node: Node, buffers: Buffers) -> Float[HostArray, "n 4 4"]:
         if "ROTATION" in columns:
             matrices[:, :3, :3] = Rotation.from_quat(columns["ROTATION"]).as_matrix()
     except ValueError as error:
-        raise damaged("one of its instances has a rotation that is none") from error
+        raise damaged("the rotation of one of its instances is not a unit quaternion") from error
     if "SCALE" in columns:
         matrices[:, :3, :3] *= columns["SCALE"][:, None]
     if "TRANSLATION" in columns:
@@ -283,7 +283,7 @@ def _matrix(node: Node, index: int) -> Float[HostArray, "4 4"]:
 
 
 def _triangles(primitive: Primitive, weights: Sequence[float], buffers: Buffers) -> _Triangles:
-    """The vertices and triangles of a primitive: section 3.7.2.1 for their order."""
+    """The vertices and triangles of a primitive. Their order is defined in section 3.7.2.1."""
     try:
         points = buffers.values(primitive.attributes["POSITION"], "VEC3").astype(np.float64)
         triangles = _ordered(_indices(primitive, buffers), primitive.mode)

@@ -26,7 +26,7 @@ _JSON, _BINARY = 0x4E4F534A, 0x004E4942
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 Form = Literal["SCALAR", "VEC2", "VEC3", "VEC4", "MAT4"]
 _WIDTHS: Mapping[Form, int] = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-# A sparse accessor can declare any number of zeros without storing them. No real file declares this many.
+# A sparse accessor can declare any number of zeros without storing them. Real files declare fewer than this.
 _MAX_ZEROS = 2**24
 
 
@@ -42,7 +42,7 @@ def chunks(data: bytes) -> tuple[bytes, bytes | None]:
     version, length = struct.unpack_from("<II", data, 4)
     if version != 2:
         raise MeshError(f"is of glTF version {version}, which cannot be read; convert it to glTF 2.0")
-    # Some writers fill up the last block of bytes.
+    # Some writers pad the last block of bytes.
     if length > len(data) or data[length:].strip(b"\0 "):
         raise damaged(f"it has {len(data)} bytes; expected {length}")
     found: dict[int, bytes] = {}
@@ -55,7 +55,7 @@ def chunks(data: bytes) -> tuple[bytes, bytes | None]:
         at += 8 + size
     if _JSON not in found:
         raise damaged("it has no chunk of JSON")
-    # Some writers fill up the text with zeros in place of spaces.
+    # Some writers pad the text with zeros instead of spaces.
     return found[_JSON].rstrip(b"\0"), found.get(_BINARY)
 
 
@@ -67,7 +67,7 @@ def item[T](items: Sequence[T], index: int, what: str) -> T:
 
 
 def entry_of[T: BaseModel](model: type[T], entries: Sequence[Any], number: int) -> T | None:
-    """An entry of the file; none if there is no such entry, or it breaks the specification."""
+    """An entry of the file. `None` if there is no such entry, or if it breaks the specification."""
     try:
         return model.model_validate(entries[number]) if 0 <= number < len(entries) else None
     except ValidationError:
@@ -75,11 +75,11 @@ def entry_of[T: BaseModel](model: type[T], entries: Sequence[Any], number: int) 
 
 
 class NoDataError(Exception):
-    """An accessor has no data of its own because an extension provides it."""
+    """An accessor has no data because an extension provides it."""
 
 
 class Buffers:
-    """Reads a file's accessors. A buffer is loaded when it is first needed."""
+    """Reads a file's accessors. A buffer is loaded on first use."""
 
     def __init__(self, document: Document, binary: bytes | None, folder: Path):
         self._document = document
@@ -135,12 +135,12 @@ class Buffers:
         return item(self._document.accessors, index, "accessor").count
 
     def form(self, index: int) -> Form | None:
-        """The type of the accessor; none if the accessor cannot be read."""
+        """The type of the accessor, or `None` if the accessor cannot be read."""
         found = item(self._document.accessors, index, "accessor").type
         return next((form for form in _WIDTHS if form == found), None)
 
     def file(self, uri: str) -> bytes:
-        """The content of a file within the glTF file or beside it.
+        """The content of a file inside the glTF file or next to it.
 
         **Raises** `MeshError` if it cannot be read.
         """
@@ -158,7 +158,7 @@ class Buffers:
         return np.ndarray((count, width), kind, data, offset, (stride, kind.itemsize))
 
     def _buffer(self, index: int, extensions: Iterable[str]) -> bytes:
-        """The buffer's bytes. `extensions` are its view's; a message names them if the buffer has no data."""
+        """The buffer's bytes. If the buffer has no data, the message names `extensions`, which are its view's."""
         if index not in self._loaded:
             buffer = item(self._document.buffers, index, "buffer")
             own = self._binary if index == 0 else None
@@ -181,12 +181,14 @@ class Buffers:
                 continue
             except (OSError, ValueError) as error:
                 reason = getattr(error, "strerror", None) or str(error)
-                raise MeshError(f"needs the file {excerpt(uri)} beside it, which cannot be read: {reason}") from error
-        raise MeshError(f"needs the file {excerpt(uri)} beside it, which does not exist; put it there")
+                raise MeshError(
+                    f"needs the file {excerpt(uri)} in the same folder, which cannot be read: {reason}"
+                ) from error
+        raise MeshError(f"needs the file {excerpt(uri)} in the same folder, which does not exist; put it there")
 
 
 def files_beside(data: bytes, folder: Path) -> list[Path]:
-    """The files in `folder` that the glTF file with the content `data` keeps its buffers and images in.
+    """The files in `folder` with the buffers and images of the glTF file with the content `data`.
 
     **Raises** `MeshError` if the file is damaged.
     """
@@ -205,7 +207,7 @@ def _names(uri: str) -> tuple[str, str]:
 
 
 def unread(extensions: Iterable[str]) -> MeshError | None:
-    """The error for data that only unsupported `extensions` provide; `None` if all of these are supported."""
+    """The error for data that only unsupported `extensions` provide. `None` if all of these are supported."""
     names = listed(unknown(extensions))
     return MeshError(f"stores triangles with {names}, which cannot be read; export it without") if names else None
 

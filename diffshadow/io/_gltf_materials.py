@@ -30,22 +30,22 @@ from ._gltf_schema import Sampler as SamplerEntry
 from ._gltf_schema import Texture as TextureEntry
 from ._looks import Picture, Texture, read_texture
 
-# Of a texture that is left out.
+# The description of a texture that is left out.
 _UNREAD = "texture that cannot be read"
 WRAPS: dict[int, Wrap] = {10497: "repeat", 33071: "clamp", 33648: "mirror"}
 FILTERS: dict[int, TexelFilter] = {9728: "nearest", 9729: "linear"}
-"""The numbers of OpenGL that samplers of glTF have."""
-# The greatest of each type of integers that colours may have.
+"""OpenGL's constants in the samplers of glTF."""
+# The maximum of each integer type that colours may have.
 _GREATEST = {5121: 255, 5123: 65535}
 
 
 class BaseColour(NamedTuple):
-    """What a primitive looks like.
+    """The look of a primitive.
 
-    - `factor`: (3,), linear; none without a material.
-    - `texture`: with its alpha test, or none; `uv`: (v, 2), texture coordinates of its vertices, or none.
-    - `colours`: (v, 3), linear colours of its vertices, and `alpha`: (v,), their alpha; or none.
-    - `is_cut_out`: whether the alpha test leaves nothing of it.
+    - `factor`: (3,), linear; `None` without a material.
+    - `texture`: with its alpha test, or `None`; `uv`: (v, 2), texture coordinates of its vertices, or `None`.
+    - `colours`: (v, 3), linear colours of its vertices, and `alpha`: (v,), their alpha; or `None`.
+    - `is_cut_out`: whether the alpha test removes all of it.
     """
 
     factor: Float[HostArray, "3"] | None = None
@@ -56,26 +56,26 @@ class BaseColour(NamedTuple):
     is_cut_out: bool = False
 
     def of_vertices(self, index: Int[HostArray, " n"]) -> "BaseColour":
-        """The same for a selection (n,) of the primitive's vertices."""
+        """The look of a selection (n,) of the primitive's vertices."""
         rows = lambda values: None if values is None else values[index]
         return self._replace(uv=rows(self.uv), colours=rows(self.colours), alpha=rows(self.alpha))
 
     def repeated(self, count: int) -> "BaseColour":
-        """The same for the vertices of several instances."""
+        """The look of the vertices of several instances."""
         some = (values for values in (self.uv, self.colours, self.alpha) if values is not None)
         index = np.tile(np.arange(len(next(some, ()))), count)
         return self.of_vertices(index)
 
 
 class Materials:
-    """Reads a file's materials. An image is read once, when it is first needed."""
+    """Reads a file's materials. An image is read once, on first use."""
 
     def __init__(self, document: Document, buffers: Buffers, left_out: Counter[str]):
         self._document, self._buffers, self._left_out = document, buffers, left_out
         self._pictures: dict[int, Picture | None] = {}
 
     def base_colour(self, primitive: Primitive, count: int) -> BaseColour:
-        """The base colour of a primitive with `count` vertices. What cannot be read is left out."""
+        """The base colour of a primitive with `count` vertices. Unreadable parts are left out."""
         colours, alpha = self._colours(primitive, count)
         number = primitive.material
         material = None if number is None else entry_of(Material, self._document.materials, number)
@@ -99,19 +99,19 @@ class Materials:
     def _colours(
         self, primitive: Primitive, count: int
     ) -> tuple[Float[HostArray, "v 3"] | None, Float[HostArray, " v"] | None]:
-        """The colours of the vertices, and their alpha; each none if the primitive has none."""
+        """The colours of the vertices, and their alpha. Each is `None` if the primitive has none."""
         values = self._values(primitive, "COLOR_0", ("VEC3", "VEC4"), count)
         if values is None:
             return None, None
         accessor = self._document.accessors[primitive.attributes["COLOR_0"]]
-        # Integers are parts of the greatest one, whether the file says so or not.
+        # Integers are fractions of the maximum, whether the file says so or not.
         if not accessor.normalized:
             values = values / _GREATEST.get(accessor.component_type, 1)
         values = np.clip(values, 0, 1)
         return values[:, :3], values[:, 3] if values.shape[1] == 4 else None
 
     def _sampler(self, number: int) -> Sampler:
-        """How a texture is read; by default where the file's sampler breaks the specification."""
+        """How a texture is read. The default is used if the file's sampler breaks the specification."""
         texture = entry_of(TextureEntry, self._document.textures, number)
         if texture is None or texture.sampler is None:
             return Sampler()
@@ -122,7 +122,7 @@ class Materials:
         return Sampler((WRAPS[entry.wrap_s], WRAPS[entry.wrap_t]), FILTERS[entry.mag_filter])
 
     def _coordinates(self, primitive: Primitive, info: TextureInfo, count: int) -> Float[HostArray, "v 2"] | None:
-        """Texture coordinates, with (0, 0) at an image's lower left corner instead of its upper left one."""
+        """Texture coordinates, with (0, 0) at an image's lower left corner instead of its upper left corner."""
         stored = info.extensions.get(TEXTURE_TRANSFORM)
         moved = None if stored is None else entry_of(TextureTransform, [stored], 0)
         number = info.tex_coord if moved is None or moved.tex_coord is None else moved.tex_coord
@@ -131,14 +131,14 @@ class Materials:
             return None
         if moved is not None:
             cosine, sine = math.cos(moved.rotation), math.sin(moved.rotation)
-            # Anticlockwise where v points down, as viewers do it.
+            # Anticlockwise where v points down, as in viewers.
             uv = uv * moved.scale @ np.array([[cosine, -sine], [sine, cosine]]) + moved.offset
         return uv * (1, -1) + (0, 1)
 
     def _values(
         self, primitive: Primitive, name: str, forms: Sequence[Any], count: int
     ) -> Float[HostArray, "v width"] | None:
-        """An attribute of the vertices; none if the primitive has none, or one that cannot be read."""
+        """An attribute of the vertices, or `None` if it is missing or unreadable."""
         index = primitive.attributes.get(name)
         if index is None:
             return None

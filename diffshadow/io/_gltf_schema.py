@@ -27,10 +27,10 @@ UNLIT = "KHR_materials_unlit"
 TEXTURE_TRANSFORM = "KHR_texture_transform"
 TEXTURE_WEBP = "EXT_texture_webp"
 TRANSMISSION = "KHR_materials_transmission"
-# Supported extensions. Without the first, positions are no integers.
+# Supported extensions. The first allows integer positions.
 _READ = ("KHR_mesh_quantization", DRACO, VISIBILITY, INSTANCES)
-# Extensions that change neither which triangles there are nor where: looks, behaviour, descriptions, levels of detail
-# besides the finest, and hints for drawing.
+# Extensions that change neither the set of triangles nor their positions: looks, behaviour, descriptions, coarser
+# levels of detail, and hints for drawing.
 _WITHOUT_TRIANGLES = (
     *("KHR_materials_", "KHR_texture_", "KHR_lights_", "KHR_animation_", "KHR_technique", "KHR_xmp", "KHR_audio"),
     *("KHR_interactivity", "KHR_node_hoverability", "KHR_node_selectability", "KHR_physics", "KHR_rigid_bodies"),
@@ -39,12 +39,12 @@ _WITHOUT_TRIANGLES = (
     *("MSFT_texture_", "MSFT_packing_", "MSFT_lod", "ADOBE_materials_", "NV_materials_", "OMI_", "AGI_"),
     *("FB_ngon_encoding", "CESIUM_primitive_outline", "GOOGLE_"),
 )
-# Compressed data may have a plain copy, which is read.
+# Compressed data may have a plain copy. The copy is read.
 _COMPRESSIONS = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 
 
 class _Part(BaseModel):
-    # The validators are built when the first file is read: that takes a tenth of a second.
+    # The validators are built when the first file is read, because this takes a tenth of a second.
     model_config = ConfigDict(alias_generator=to_camel, frozen=True, coerce_numbers_to_str=True, defer_build=True)
 
 
@@ -53,7 +53,7 @@ class Asset(_Part):
 
 
 class Header(_Part):
-    """The file's version. It is read first, since everything else may differ between versions."""
+    """The file's version. It is read first, because everything else may differ between versions."""
 
     asset: Asset
 
@@ -125,7 +125,7 @@ class MetallicRoughness(_Part):
 
 
 class TextureTransform(_Part):
-    """Of `TEXTURE_TRANSFORM`."""
+    """The content of `TEXTURE_TRANSFORM`."""
 
     offset: Annotated[list[float], Field(min_length=2, max_length=2)] = [0.0, 0.0]
     rotation: float = 0.0
@@ -138,7 +138,7 @@ WrapCode = Literal[10497, 33071, 33648]
 
 
 class Sampler(_Part):
-    """OpenGL's numbers for how a texture is read between texels and beyond its image."""
+    """OpenGL's constants for reading a texture between texels and beyond its image."""
 
     mag_filter: Literal[9728, 9729] = 9729
     wrap_s: WrapCode = 10497
@@ -193,7 +193,7 @@ class Spot(_Part):
 
 
 class Light(_Part):
-    """Of `LIGHTS`."""
+    """The content of `LIGHTS`."""
 
     type: LightKind
     name: str = ""
@@ -231,7 +231,7 @@ class Document(_Part):
     animations: list[Any] = []
     buffer_views: list[BufferView] = []
     buffers: list[Buffer] = []
-    # Of use to scenes alone, so that a mesh can be read from a file in which they are at fault.
+    # Only scenes use these. They are optional, so that faults in them do not affect meshes.
     cameras: list[Any] = []
     extensions: _Extensions = {}
     extensions_required: list[str] = []
@@ -272,10 +272,10 @@ def parse(text: bytes) -> Document:
 
 
 def unknown(extensions: Iterable[str]) -> list[str]:
-    """The `extensions` that may affect geometry and are not supported."""
+    """The unsupported `extensions` that may affect geometry."""
     return [name for name in extensions if not name.startswith(_WITHOUT_TRIANGLES) and name not in _READ]
 
 
 def not_obeyed(document: Document) -> list[str]:
-    """The extensions that the file uses but does not require, and that may change how it looks."""
+    """The extensions that the file uses but does not require, and that may change its look."""
     return [name for name in unknown(dict.fromkeys(document.extensions_used)) if name not in _COMPRESSIONS]

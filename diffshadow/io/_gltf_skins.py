@@ -1,4 +1,4 @@
-"""Skins of glTF files: vertices that follow joints.
+"""Skins of glTF files, whose vertices follow joints.
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html, section 3.7.3.
 """
@@ -16,7 +16,7 @@ from ._gltf_schema import Document, Primitive, Skin
 
 
 class Posed(NamedTuple):
-    """Vertices (v, 3) in world space, triangles (t, 3), and normals (v, 3) if there are some."""
+    """Vertices (v, 3) in world space, triangles (t, 3), and normals (v, 3) if the file has normals."""
 
     vertices: Float[HostArray, "v 3"]
     faces: Int[HostArray, "t 3"]
@@ -40,8 +40,8 @@ class Skins:
         faces: Int[HostArray, "t 3"],
         normals: Float[HostArray, "v 3"] | None,
     ) -> Posed:
-        """The vertices and triangles of a primitive with the skin of this number: each vertex is moved by the mean of
-        its joints' matrices, by its weights. A node that has a skin has no position of its own.
+        """The vertices and triangles of a primitive with the skin of this number. Each vertex is moved by the weighted
+        mean of its joints' matrices. The position of a node with a skin is ignored.
 
         **Raises** `MeshError` if the skin cannot be read, and `NoDataError` if an extension provides it.
         """
@@ -58,7 +58,7 @@ class Skins:
         wound = np.where(is_mirrored[faces[:, :1]], faces[:, ::-1], faces)
         if normals is None:
             return Posed(moved, wound, None)
-        # By the inverse transpose, up to a factor, which also holds for a scale of 0.
+        # The inverse transpose, up to a factor. This also works for a scale of 0.
         cofactors = np.stack([np.cross(linear[:, i - 2], linear[:, i - 1]) for i in range(3)], axis=1)
         turned = np.einsum("vij,vj->vi", cofactors, normals) * np.where(is_mirrored, -1, 1)[:, None]
         length = np.linalg.norm(turned, axis=-1, keepdims=True)
@@ -78,7 +78,7 @@ class Skins:
         return places @ stored[: len(places)].reshape(-1, 4, 4).swapaxes(1, 2)
 
     def _influences(self, primitive: Primitive, count: int) -> tuple[Int[HostArray, "v w"], Float[HostArray, "v w"]]:
-        """The joints that each of `count` vertices follows, and their weights, whose sum is 1."""
+        """The joints that each of `count` vertices follows, and their weights, which add up to 1."""
         joints, weights = [], []
         while (name := f"JOINTS_{len(joints)}") in primitive.attributes:
             joints.append(self._buffers.values(primitive.attributes[name], "VEC4"))

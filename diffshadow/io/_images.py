@@ -1,7 +1,7 @@
 """Reads and writes images.
 
 In memory row 0 is the bottom row. Image files (PNG, EXR) begin with the top row; they are flipped in this subpackage
-and nowhere else. A `.npy` file holds the array as it is in memory. Values are linear: no gamma curve is applied.
+and nowhere else. A `.npy` file stores the array as in memory. Values are linear: no gamma curve is applied.
 """
 
 import math
@@ -25,7 +25,7 @@ from ._paths import existing_file, on_disk
 from ._pixels import Pixels, check_size, three_colours
 from ._png import read_png, write_levels
 
-# How animations are written, by suffix.
+# The writer of animations for each suffix.
 _ANIMATIONS: dict[str, dict[str, Any]] = {
     ".webp": {"format": "WEBP", "quality": 75, "method": 4},
     ".gif": {"format": "GIF", "optimize": False},
@@ -45,9 +45,9 @@ _SIGNATURES = {
     b"#?RADIANCE": ".hdr",
     b"PK\x03\x04": ".npz or .zip",
 }
-# What a PNG file may say of its encoding where sRGB is expected.
+# Encodings that a PNG file may declare if sRGB is expected.
 _SRGB = (None, "sRGB", "gAMA, of the exponent 0.45455")
-# A mean of values in [0, 1] may leave the interval by this much through rounding.
+# Rounding may move a mean of values in [0, 1] out of the interval by this much.
 _ROUNDING = 1e-5
 
 
@@ -74,19 +74,19 @@ def read_visibility(path: str | os.PathLike[str]) -> Float[HostArray, "h w"]:
 
     - `.npy`: an (h, w) array whose row 0 is the bottom row.
     - `.png`: grey, colour or a palette, with any number of bits, linear from 0 to 1. Colour channels are averaged, and
-        alpha is ignored. Significant bits (`sBIT`) and the orientation of Exif are obeyed.
+      alpha is ignored. Significant bits (`sBIT`) and the Exif orientation are applied.
     - `.jpg`: as `.png`, except for compression errors.
-    - `.exr`: the channel `Y`, the mean of `R`, `G` and `B`, or the only channel, of the first part that has these
-        channels; divided by alpha, as the format demands. The picture is the content of the display window, rotated
-        according to the attribute `Orientation`.
+    - `.exr`: the channel `Y`, the mean of `R`, `G` and `B`, or the only channel, of the first part with these channels.
+      It is divided by alpha, as the format requires. The picture is the content of the display window, rotated
+      according to the attribute `Orientation`.
 
-    **Returns:** (h, w), float32, row 0 the bottom row.
+    **Returns:** (h, w), float32. Row 0 is the bottom row.
 
     **Warns** with `ImageWarning` about everything in the file that is ignored: a transfer curve or colour profile,
-    colours, alpha, further channels and parts, and the shape of pixels that are not square.
+    colours, alpha, further channels and parts, and the aspect of pixels that are not square.
 
-    **Raises** `FileError` if the file is missing, damaged or has another format, if it holds anything but one image,
-    no pixels for a part of it, or values that are NaN or outside [0, 1].
+    **Raises** `FileError` if the file is missing, damaged or has another format. **Raises** `FileError` also for more
+    than one image, for missing pixels, and for values that are NaN or outside [0, 1].
     """
     file = existing_file(path, "visibility")
     pixels = _read(file, _for_suffix(file, _READERS))
@@ -102,12 +102,12 @@ def read_picture(path: str | os.PathLike[str]) -> tuple[Float[HostArray, "h w 3"
     - `.png`, `.jpg`: sRGB from 0 to 1; colour profiles in the file are ignored.
     - `.exr`: the channels `R`, `G` and `B`, or one channel of grey, linear; otherwise as for `read_visibility`.
 
-    **Returns:** (h, w, 3), float32, the stored values, row 0 the bottom row; and their encoding.
+    **Returns:** (h, w, 3), float32, the stored values with row 0 at the bottom, and their encoding.
 
     **Warns** with `ImageWarning` as `read_visibility` does.
 
-    **Raises** `FileError` if the file is missing, damaged or has another format, if it holds anything but one image, or
-    values that are NaN or infinite.
+    **Raises** `FileError` if the file is missing, damaged or has another format, if it does not have exactly one image,
+    or if values are NaN or infinite.
     """
     file = existing_file(path, "picture")
     read, encoding = _for_suffix(file, _PICTURES)
@@ -128,7 +128,7 @@ def _read(file: Path, read: Callable[[Path], Pixels]) -> HostArray:
         pixels, remarks = read(file)
     except FileError:
         raise
-    except Exception as error:  # each format's reader raises types of its own
+    except Exception as error:  # Each format's reader raises its own types.
         reason = " ".join(str(error).split()) or type(error).__name__
         raise FileError(
             f"the image file {file} is damaged or does not have the format of its suffix ({reason}); write it again"
@@ -139,7 +139,7 @@ def _read(file: Path, read: Callable[[Path], Pixels]) -> HostArray:
 
 
 def write_visibility(path: str | os.PathLike[str], image: Any) -> None:
-    """Writes a visibility image (h, w) in [0, 1], row 0 the bottom row, as `read_visibility` reads it.
+    """Writes a visibility image (h, w) in [0, 1] for `read_visibility`. Row 0 is the bottom row.
 
     The suffix of `path` selects the format: `.npy` and `.exr` store float32 exactly, `.png` stores 16 bits.
 
@@ -155,12 +155,12 @@ def write_visibility(path: str | os.PathLike[str], image: Any) -> None:
 
 
 def _read_npy(file: Path) -> Pixels:
-    # Opened here, since `np.load` leaves a damaged file open.
+    # Opened here, because `np.load` leaves a damaged file open.
     with on_disk(file).open("rb") as stream:
         shape, _, dtype = read_header(stream, f"the image file {file}")
         if dtype.kind not in "bfiu":
             raise FileError(f"the image file {file} holds values of type {dtype}; expected real numbers")
-        # `np.load` allocates what the header asks for before it looks at the file's size.
+        # `np.load` allocates the memory that the header requests before it checks the file's size.
         expected, actual = math.prod(shape) * dtype.itemsize, on_disk(file).stat().st_size - stream.tell()
         if expected != actual:
             raise ValueError(f"it has {actual} bytes of numbers; expected the {expected} of its shape {shape}")
@@ -169,7 +169,7 @@ def _read_npy(file: Path) -> Pixels:
 
 
 def _write_npy(file: Path, pixels: HostArray) -> None:
-    # To a stream: given a path, `np.save` appends `.npy` to a suffix that it does not know.
+    # Written to a stream, because `np.save` appends `.npy` to unknown suffixes of a path.
     with file.open("wb") as stream:
         np.save(stream, pixels, allow_pickle=False)
 
@@ -191,7 +191,7 @@ _READERS: Mapping[str, Callable[[Path], Pixels]] = {
     ".jpeg": _read_grey_jpeg,
     ".exr": read_exr,
 }
-# Of pictures, with their encodings.
+# The readers of pictures, with their encodings.
 _PICTURES: Mapping[str, tuple[Callable[[Path], Pixels], Encoding]] = {
     ".npy": (_read_npy, "linear"),
     ".png": (lambda file: read_png(file, three_colours, _SRGB), "srgb"),
@@ -199,7 +199,7 @@ _PICTURES: Mapping[str, tuple[Callable[[Path], Pixels], Encoding]] = {
     ".jpeg": (_read_jpeg, "srgb"),
     ".exr": (lambda file: read_exr(file, three_colours), "linear"),
 }
-# Writers take float32 from 0 to 1.
+# Writers that accept float32 from 0 to 1.
 _WRITERS: Mapping[str, Callable[[Path, HostArray], None]] = {
     ".npy": _write_npy,
     ".png": lambda file, pixels: write_levels(file, np.rint(pixels[::-1].astype(np.float64) * 65535).astype(np.uint16)),
@@ -227,7 +227,7 @@ def _check_signature(file: Path) -> None:
 
 
 def _in_unit_range(pixels: HostArray, name: str, error: type[ValueError]) -> HostArray:
-    """`pixels` in float32, clipped to [0, 1] where rounding left it."""
+    """`pixels` in float32. Values that rounding moved out of range are clipped to [0, 1]."""
     with np.errstate(over="ignore"):  # values beyond float32 become infinite, which is checked below
         values = pixels.astype(np.float32)
     if not np.isfinite(values).all():
@@ -247,12 +247,12 @@ def _save(path: str | os.PathLike[str], write: Callable[[Path], None]) -> None:
 
 
 def write_animation(path: str | os.PathLike[str], frames: Any, milliseconds: int | Sequence[int]) -> None:
-    """Writes `frames` as an animation that repeats for ever: WebP, or by the suffix GIF or animated PNG.
+    """Writes `frames` as an animation that repeats forever. The suffix selects WebP, GIF or animated PNG.
 
     **Arguments:**
 
-    - `frames`: (n, h, w, 3) colours, floats in [0, 1] or bytes; row 0 of each is the bottom row.
-    - `milliseconds`: how long each is shown, one number or one for each frame.
+    - `frames`: (n, h, w, 3) colours, floats in [0, 1] or bytes. Row 0 of each frame is the bottom row.
+    - `milliseconds`: the duration of each frame, as one number or one number per frame.
 
     **Raises** `FileError` if the folder is missing or cannot be written to, or for another suffix, and `ValueError` if
     the frames have another shape, or values that are NaN or outside [0, 1].

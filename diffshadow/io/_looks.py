@@ -23,27 +23,27 @@ _FORMATS = ("PNG", "JPEG", "WEBP", "TGA", "BMP", "TIFF")
 
 
 class Picture:
-    """The image of a texture: `levels` (h, w, 4), sRGB colours and alpha, bytes; row 0 is the bottom row."""
+    """The image of a texture: `levels` (h, w, 4), sRGB colours and alpha as bytes. Row 0 is the bottom row."""
 
     def __init__(self, levels: UInt8[HostArray, "h w 4"]):
         self.levels = levels
 
     @functools.cached_property
     def texels(self) -> Float[Array, "n 4"]:
-        """Linear, in single precision: one array for all meshes that share the image."""
+        """The linear texels in single precision. All meshes with the same image share one array."""
         with jax.enable_x64(False):
             return as_float(linear_colours(self.levels.reshape(-1, 4) / np.float32(255)))
 
 
-# What a material without a picture has, if the alpha of vertices cuts it out.
+# The texture of a material without a picture, if the alpha of its vertices cuts it out.
 _PLAIN = Picture(np.full((1, 1, 4), 255, np.uint8))
 
 
 class Texture(NamedTuple):
-    """The texture of base colour of a material.
+    """The base-colour texture of a material.
 
-    - `picture`: its picture; none for a material that only the alpha of vertices cuts out.
-    - `cutoff`: alpha below which it cuts out faces; none without an alpha test.
+    - `picture`: its picture; `None` if only the alpha of vertices cuts out the material.
+    - `cutoff`: the alpha below which it cuts out faces; `None` without an alpha test.
     - `sampler`: how the picture is read.
     """
 
@@ -53,12 +53,12 @@ class Texture(NamedTuple):
 
     @property
     def whole(self) -> Picture:
-        """The picture, or a white and opaque one."""
+        """The picture, or an opaque white one."""
         return self.picture or _PLAIN
 
 
 class GivenTexture(NamedTuple):
-    """What a user gives in place of a file's textures; none for what stays as in the file."""
+    """A user's replacements for a file's textures. `None` leaves a property as in the file."""
 
     picture: Picture | None = None
     cutoff: float | None = None
@@ -73,15 +73,15 @@ class GivenTexture(NamedTuple):
 
 
 class Looks(NamedTuple):
-    """How the polygons of a file look.
+    """The look of a file's polygons.
 
-    - `colours`: (v, 3), linear colours of the vertices; none if the file has none.
-    - `alpha`: (v,), the vertices' alpha, which an alpha test multiplies by the textures' alpha; none if the file has
-        none.
-    - `uv`: (v, 2), texture coordinates of the vertices, (0, 0) at an image's lower left corner; none if the file has
-        none.
+    - `colours`: (v, 3), linear colours of the vertices; `None` if the file has none.
+    - `alpha`: (v,), the vertices' alpha, which an alpha test multiplies by the textures' alpha; `None` if the file has
+      none.
+    - `uv`: (v, 2), texture coordinates of the vertices, with (0, 0) at an image's lower left corner; `None` if the file
+      has none.
     - `factor`: (f, 3), the diffuse colour of each polygon.
-    - `texture`: (f,), the number of each polygon's texture in `textures`, -1 for none.
+    - `texture`: (f,), the index of each polygon's texture in `textures`, or -1.
     """
 
     colours: Float[HostArray, "v 3"] | None = None
@@ -103,7 +103,7 @@ class MeshLooks(NamedTuple):
 def looks_of_triangles(
     looks: Looks, triangles: Int[HostArray, "t 3"], polygon: Int[HostArray, " t"], given: GivenTexture
 ) -> MeshLooks:
-    """How triangles of a file's vertices look, each a part of a `polygon`.
+    """The look of triangles of a file's vertices. Each triangle is a part of a `polygon`.
 
     **Raises** `MeshError` if a picture is given and there are no texture coordinates.
     """
@@ -111,14 +111,16 @@ def looks_of_triangles(
     colours = None if looks.colours is None else np.clip(looks.colours, 0, 1)[triangles]
     if given.picture is not None:
         if looks.uv is None:
-            raise MeshError("has no texture coordinates, and a texture was given; expected some: export it with its UV")
+            raise MeshError(
+                "has no texture coordinates, and a texture was given; expected coordinates: export it with its UV"
+            )
         textures = [Texture(given.picture)]
         index = np.zeros(len(triangles), np.int32)
     else:
         textures = [*looks.textures]
         index = np.full(len(triangles), NO_TEXTURE) if looks.texture is None else looks.texture[polygon]
         if given.cutoff and looks.alpha is not None:
-            # The alpha of vertices alone cuts out what has no texture.
+            # Faces without a texture are cut out by the alpha of vertices alone.
             index = np.where(index < 0, len(textures), index)
             textures.append(Texture(None))
     if not (index >= 0).any():
@@ -146,7 +148,7 @@ def _flattened(
     is_tested = any(one.cutoff for one in some)
     cutoff = np.array([one.cutoff or 0.0 for one in some]) if is_tested else None
     table = np.concatenate([first[:, None], sizes], axis=1)
-    # In single precision even where a mesh's vertices are not.
+    # Single precision, even if a mesh's vertices have double precision.
     with jax.enable_x64(False):
         return Textures(
             uv,
@@ -169,12 +171,12 @@ def read_texture(data: bytes, what: str) -> Picture:
             size = max(image.size)
             if size <= MAX_TEXTURE:
                 return Picture(np.asarray(image.convert("RGBA"))[::-1])
-    except Exception as error:  # Pillow's readers raise many types
+    except Exception as error:  # Pillow's readers raise many types.
         raise MeshError(
             f"has a texture, {what}, that cannot be read ({' '.join(str(error).split())}); expected a PNG, JPEG or "
             "WebP image: convert it"
         ) from error
-    raise MeshError(f"has a texture, {what}, of {size} texels a side; expected at most {MAX_TEXTURE}: scale it down")
+    raise MeshError(f"has a texture, {what}, of {size} texels per side; expected at most {MAX_TEXTURE}: scale it down")
 
 
 def png_of(levels: UInt8[HostArray, "h w 4"]) -> bytes:

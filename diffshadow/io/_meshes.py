@@ -33,15 +33,15 @@ _READERS: Mapping[str, Callable[[bytes, Path], Polygons]] = {
     ".ply": lambda data, _: read_ply(data),
     ".stl": lambda data, _: read_stl(data),
 }
-# Of the images that were read last, so many are kept for meshes that share them.
+# This many recently read images are kept for meshes that share them.
 _IMAGES_KEPT = 8
 # Coordinates beyond this are infinite in float32.
 _MOST = float(np.finfo(np.float32).max)
-# Coordinates this close to whole steps, as a part of a step, were rounded to these.
+# Coordinates this close to whole steps, as a fraction of a step, were rounded to these steps.
 _BETWEEN = 0.125
-# Multiples of this many steps of single precision are round numbers, which lost no digits.
+# Multiples of this many steps of single precision are round numbers, which have lost no digits.
 _ROUND = 8
-# A mesh of fewer vertices than this, such as a box, may have round coordinates by design.
+# A mesh with fewer vertices than this, such as a box, may have round coordinates by design.
 _FEW = 12
 
 
@@ -58,18 +58,18 @@ def load_mesh(
     """Reads a mesh from a file: OBJ, PLY, STL, OFF, GLB, glTF 2.0, or a format that trimesh reads.
 
     The objects of a file are merged into one mesh, with their nodes' transforms applied. Vertices at the same position
-    are welded (files split them at texture seams). Polygons, convex or concave, are cut into triangles. Skins have the
-    pose of the file's nodes. Colours of vertices are read from PLY, GLB and glTF, and taken as linear. GLB and glTF
-    also have materials: base colours, their textures and samplers, and alpha tests. From the MTL files of an OBJ file,
-    `Kd` (linear), `map_Kd`, `map_d` and `d` are read. A `map_d` cuts out alpha below 0.5. trimesh reads other formats,
-    such as 3MF, COLLADA and zip archives, without colours. trimesh cuts polygons as fans, and some formats need a
-    further package (`pip install 'diffshadow[meshes]'`).
+    are welded (files split them at texture seams). Polygons, convex or concave, are cut into triangles. Skins are posed
+    by the file's nodes. Vertex colours are read from PLY, GLB and glTF as linear colours. From GLB and glTF, materials
+    are read too: base colours, their textures and samplers, and alpha tests. From the MTL files of an OBJ file, `Kd`
+    (linear), `map_Kd`, `map_d` and `d` are read. A `map_d` cuts out alpha below 0.5. trimesh reads other formats, such
+    as 3MF, COLLADA and zip archives, without colours. trimesh cuts polygons as fans, and some formats need a further
+    package (`pip install 'diffshadow[meshes]'`).
 
     **Arguments:**
 
     - `path`: the file; its suffix names the format. Text may be in any encoding.
-    - `crease_angle`: degrees; edges bent by more are shaded sharp. `None` for the file's own normals, which PLY, GLB
-        and glTF have at vertices.
+    - `crease_angle`: degrees. Edges with a larger angle are shaded as sharp. `None` uses the file's vertex normals,
+      which PLY, GLB and glTF can have.
 
     - `albedo`: (3,), in [0, 1], multiplies the file's colours and textures; by default white, or light grey for a file
         without colours and textures.
@@ -78,15 +78,14 @@ def load_mesh(
     - `alpha_cutoff`: alpha in [0, 1] below which faces are cut out. Alpha is the texture's alpha times the vertices'
         alpha of PLY, GLB and glTF. 0 for no alpha test; by default as in the file.
     - `texture_wrap`: the wrapping of textures beyond their images: `"repeat"`, `"clamp"` or `"mirror"`, or a pair of
-        these along u and v; if left out, as the file says, or repeat.
-    - `texture_filter`: the filter between texels: `"linear"` or `"nearest"`; if left out, as the file says, or linear.
+      these along u and v; by default as in the file, or repeat.
+    - `texture_filter`: the filter between texels: `"linear"` or `"nearest"`; by default as in the file, or linear.
 
     **Returns:** the mesh in the file's units and axes; use `fit_to_size` and `drop_to_ground` to place it in a scene.
-    Under `jax.enable_x64` its vertices are float64, which a mesh far from the file's origin needs.
+    Under `jax.enable_x64`, its vertices are float64. A mesh far from the file's origin needs this.
 
-    **Warns** with `MeshWarning` if the file has parts other than triangles, such as lines, if its polygons are cut as
-    fans, or if its coordinates lie so far from their origin that storing them in single precision has rounded the
-    mesh's shape.
+    **Warns** with `MeshWarning` if the file has parts other than triangles, such as lines, if polygons are cut as fans,
+    or if its coordinates are so far from the origin that single precision has changed the mesh's shape.
 
     **Raises** `FileError` if the file is missing, damaged, in an unknown format or in one whose package is missing,
     requires an unsupported extension of its format, has a polygon that crosses itself, holds no triangles, or holds
@@ -136,7 +135,7 @@ def load_mesh(
     left_out = _left_out(polygons, _tiny(polygons.vertices[triangles], len(faces)))
     if left_out:
         warnings.warn(MeshWarning(f"the mesh file {file} is loaded without its {left_out}"), stacklevel=2)
-    # Before the weld, which merges vertices that were rounded to one place.
+    # Before the weld, which merges vertices that were rounded to the same position.
     if coarse := coarse_steps(polygons.vertices[np.unique(polygons.corners)]):
         warnings.warn(MeshWarning(f"the mesh file {file} {coarse}"), stacklevel=2)
     if crease_angle is not None:
@@ -160,7 +159,7 @@ def _image(path: str | os.PathLike[str]) -> Picture:
 
 @functools.lru_cache(maxsize=_IMAGES_KEPT)
 def _read_image(file: Path, name: str, time: int, size: int) -> Picture:
-    """An image file that was last changed at this time: one array for all meshes that have it."""
+    """An image file last changed at this time. All meshes with this image share one array."""
     return read_texture(file.read_bytes(), name)
 
 
@@ -170,9 +169,9 @@ def _looks(
     number: Int[HostArray, " t"],
     given: GivenTexture,
 ) -> MeshLooks:
-    """The colours and textures of triangles with these numbers among all of the file.
+    """The colours and textures of the triangles with these indices in the file.
 
-    **Raises** `MeshError` for a texture without coordinates, and a cutoff or a sampler without textures.
+    **Raises** `MeshError` for a texture without coordinates, and for a cutoff or a sampler without textures.
     """
     polygon = np.repeat(np.arange(len(polygons.sizes)), np.maximum(polygons.sizes - 2, 0))[number]
     looks = looks_of_triangles(polygons.looks or Looks(), triangles, polygon, given)
@@ -187,7 +186,7 @@ def _looks(
 
 
 def files_of_mesh(path: str | os.PathLike[str]) -> list[Path]:
-    """The absolute paths of a mesh file and of the files beside it that it refers to, if they exist."""
+    """The absolute paths of a mesh file and of the files that it refers to, if they exist."""
     file = Path(os.path.abspath(path))
     beside = {**dict.fromkeys(GLTF_SUFFIXES, files_beside), ".obj": files_beside_obj}.get(file.suffix.lower())
     if beside is None:
@@ -200,9 +199,9 @@ def files_of_mesh(path: str | os.PathLike[str]) -> list[Path]:
 
 
 def _reader(file: Path) -> Callable[[bytes, Path], Polygons]:
-    """What reads the format that the suffix of `file` names.
+    """The reader for the suffix of `file`.
 
-    **Raises** `FileError` if nothing does.
+    **Raises** `FileError` if there is none.
     """
     if own := _READERS.get(file.suffix.lower()):
         return own
@@ -216,15 +215,15 @@ def _reader(file: Path) -> Callable[[bytes, Path], Polygons]:
 
 
 def coarse_steps(vertices: Float[HostArray, "v 3"]) -> str:
-    """What is wrong with `vertices` that were rounded to single precision far from their origin; empty if nothing is
-    wrong."""
+    """The fault of `vertices` that were rounded to single precision far from their origin. Empty if there is no
+    fault."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     step = step_of(low, high)
     if not step or len(vertices) < _FEW:
         return ""
-    # Coordinates below the greatest power of two have smaller steps.
+    # Coordinates below the largest power of two have smaller steps.
     far = vertices[np.abs(vertices) >= 2.0 ** np.floor(np.log2(np.abs(vertices).max()))]
-    # In binary numbers, or in the decimals of a text.
+    # In binary numbers, or in the decimals of a text file.
     decimal = lambda least: 10.0 ** np.ceil(np.log10(least))
     off = lambda steps: np.abs(far - np.round(far / steps) * steps).max()
     are_whole = lambda steps: bool(off(steps) <= _BETWEEN * min(step, steps))
@@ -233,8 +232,8 @@ def coarse_steps(vertices: Float[HostArray, "v 3"]) -> str:
         return ""
     return (
         f"is far from its origin: its coordinates are rounded to steps of {step:.2g}, "
-        f"{step / (high - low).max():.2%} of its size, as in single precision, which changes its shape; move it to the "
-        "origin before it is exported, and give its place with translate"
+        f"{step / (high - low).max():.2%} of its size, as in single precision, which changes its shape; move it to "
+        "the origin before the export, and set its position with translate"
     )
 
 
@@ -273,13 +272,13 @@ def _check(polygons: Polygons) -> None:
 
 
 def _tiny(triangles: Float[HostArray, "t 3 3"], left: int) -> int:
-    """How many triangles with three distinct corners the weld dropped; `left` is the number it kept."""
+    """The number of triangles with three distinct corners that the weld dropped. `left` is the number that remains."""
     apart = (triangles != np.roll(triangles, 1, axis=1)).any(axis=-1).all(axis=-1)
     return int(np.count_nonzero(apart)) - left
 
 
 def _left_out(polygons: Polygons, tiny: int = 0) -> str:
-    """What the file holds besides the triangles that are loaded, in words; empty if nothing."""
+    """The parts of the file that are not loaded, in words. Empty if there are none."""
     counts = {
         **polygons.left_out,
         "face of fewer than three corners": int((polygons.sizes < 3).sum()),

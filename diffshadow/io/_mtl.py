@@ -18,7 +18,7 @@ from ._looks import Picture, Texture, read_texture
 from ._paths import on_disk
 from ._text import decode, is_number, split_lines
 
-# How many words follow each option of a map; of -o, -s and -t, as many numbers as there are, at most three.
+# The number of words after each option of a map. Options -o, -s and -t take up to three numbers.
 _WORDS = {
     **dict.fromkeys(("-blendu", "-blendv", "-cc", "-clamp", "-bm", "-boost", "-texres", "-imfchan", "-type"), 1),
     "-mm": 2,
@@ -26,13 +26,13 @@ _WORDS = {
 }
 # Options that change nothing with these words.
 _IDLE = {"-blendu": ["on"], "-blendv": ["on"], "-cc": ["off"], "-mm": ["0", "1"], "-t": ["0", "0", "0"]}
-# The channel of a map of opacity, among red, green, blue and alpha; the luminance is of all three colours.
+# The channel of an opacity map, among red, green, blue and alpha. The luminance uses all three colours.
 _CHANNELS = {"r": 0, "g": 1, "b": 2, "m": 3}
 _LUMINANCE = np.array([0.299, 0.587, 0.114])
 
 
 class _Map(NamedTuple):
-    """An image that a material names, and how its texture coordinates are moved."""
+    """An image of a material, and the transform of its texture coordinates."""
 
     file: str
     scale: tuple[float, float] = (1.0, 1.0)
@@ -45,8 +45,8 @@ class Material(NamedTuple):
     """A material.
 
     - `factor`: its diffuse colour, linear.
-    - `texture`: texture of its base colour and opacity; none if there is none that can be read.
-    - `scale`, `offset`: what texture coordinates are multiplied by, and what is then added.
+    - `texture`: texture of its base colour and opacity; `None` if there is no readable texture.
+    - `scale`, `offset`: the factor and then the offset of texture coordinates.
     """
 
     factor: tuple[float, float, float] = (1.0, 1.0, 1.0)
@@ -56,7 +56,7 @@ class Material(NamedTuple):
 
 
 class _Entry:
-    """What a file says of a material."""
+    """A material as its file defines it."""
 
     def __init__(self) -> None:
         self.factor = Material().factor
@@ -67,7 +67,7 @@ class _Entry:
 
 
 class Materials:
-    """The materials of the MTL files that an OBJ file names. What cannot be read is added to `left_out`.
+    """The materials of the MTL files that an OBJ file names. Unreadable files are added to `left_out`.
 
     **Arguments:** `named`: the rest of each line `mtllib`.
     """
@@ -83,7 +83,7 @@ class Materials:
                 self._entries = _read(file.content) | self._entries
 
     def of(self, name: str) -> Material | None:
-        """The material of this name; none if no file has it."""
+        """The material with this name, or `None` if no file has it."""
         entry = self._entries.get(name)
         if entry is None:
             if self._entries:
@@ -107,14 +107,14 @@ class Materials:
         cutoff = None
         if entry.opacity_map is not None:
             whole = Cutout.alpha_cutoff
-            # What is nearly transparent everywhere keeps the shape of its map.
+            # A map that is nearly transparent everywhere still defines a shape.
             cutoff = whole / entry.opacity if entry.opacity > whole else whole
         wrap = "clamp" if place.clamps else "repeat"
         texture = Texture(picture, cutoff, Sampler.of(wrap, "linear"))
         return Material(entry.factor, texture, place.scale, place.offset)
 
     def _picture(self, colour: _Map | None, opacity: _Map | None) -> Picture | None:
-        """The image with the colours of one map and the opacity of another; each opaque white where there is none."""
+        """The image with the colours of one map and the opacity of another. A missing map is opaque white."""
         plain = lambda each: None if each is None else _Map(each.file, channel=each.channel)
         key = plain(colour), plain(opacity)
         if key not in self._pictures:
@@ -159,7 +159,8 @@ def _files(named: Iterable[str], folder: Path) -> Iterator[tuple[str, _File | No
 
 
 def _found(folder: Path, name: str) -> _File | None:
-    """A file where `name` says, or beside the OBJ file, since many writers store paths of their own disks."""
+    """A file at the path `name`, or with the same name in the OBJ file's folder, because many writers store paths of
+    their own disks."""
     path = name.replace("\\", "/")
     for place in (folder / path, folder / path.rpartition("/")[2]):
         file = Path(os.path.normpath(place))
@@ -200,7 +201,7 @@ def _read(data: bytes) -> dict[str, _Entry]:
 
 
 def _map(words: Sequence[str], key: str, left_out: list[str]) -> _Map | None:
-    """A map of its options and its file's name. Adds options that are not obeyed to `left_out`."""
+    """A map from its options and its file's name. Adds ignored options to `left_out`."""
     given: dict[str, list[str]] = {}
     words = [*words]
     while words and words[0] in _WORDS:
@@ -226,7 +227,7 @@ def _is_idle(option: str, given: Mapping[str, list[str]]) -> bool:
 
 
 def _pair(words: Sequence[str] | None, missing: float) -> tuple[float, float]:
-    """The first two numbers of `words`; `missing` replaces a number that is left out."""
+    """The first two numbers of `words`. `missing` replaces an omitted number."""
     first, second, *_ = [*map(float, words or ()), missing, missing]
     return first, second
 
@@ -236,8 +237,8 @@ def _are_alike(one: _Map, other: _Map) -> bool:
 
 
 def _opacity(levels: UInt8[HostArray, "h w 4"], of: _Map | None) -> UInt8[HostArray, "h w"]:
-    """The opacity of an image: the channel that the map names, by default alpha if the image has some, or else its
-    luminance."""
+    """The opacity of an image: the channel that the map names, or by default alpha if the image has it, and luminance
+    otherwise."""
     channel = None if of is None else of.channel
     if channel in _CHANNELS:
         return levels[..., _CHANNELS[channel]]
@@ -247,7 +248,8 @@ def _opacity(levels: UInt8[HostArray, "h w 4"], of: _Map | None) -> UInt8[HostAr
 
 
 def _joined(colours: UInt8[HostArray, "h w 4"] | None, opacity: UInt8[HostArray, "h2 w2"] | None) -> Picture | None:
-    """An image with these colours and this opacity. It has the size of the opacity, whose outlines cast shadows."""
+    """An image with these colours and this opacity. It has the size of the opacity, because its outlines cast
+    shadows."""
     if opacity is None:
         return None if colours is None else Picture(colours)
     if colours is None:

@@ -52,12 +52,12 @@ def read_obj(data: bytes, folder: Path, with_uv: bool = False) -> Polygons:
         uv = _coordinates(lines, at["vt"], given, face_at, sizes)
     if uv is not None and with_uv:
         uv = uv if (uv.rows >= 0).all() else None
-        # For an image in place of the materials' own.
+        # For an image that replaces the materials' images.
         materials = [Material(each.factor) for each in materials]
     looks = _looks(materials, used, uv, sizes, left_out)
     if uv is None:
         return Polygons(vertices, indices, sizes, left_out, looks=looks)
-    # A vertex for each place with its texture coordinates, which materials may move.
+    # One vertex for each pair of position and texture coordinates. Materials may transform the coordinates.
     of_corner = np.repeat(used, sizes)
     keys, indices = np.unique(np.stack([indices, uv.rows, of_corner], axis=1), axis=0, return_inverse=True)
     scale, offset = (
@@ -78,7 +78,7 @@ def files_beside_obj(data: bytes, folder: Path) -> list[Path]:
 
 
 def _lines(text: str) -> tuple[list[str], defaultdict[str, list[int]]]:
-    """The lines of a file, and the places of those that begin with each keyword."""
+    """The lines of a file, and the indices of the lines that begin with each keyword."""
     lines = _joined(split_lines(text)) if "\\" in text else split_lines(text)
     at: defaultdict[str, list[int]] = defaultdict(list)
     for i, line in enumerate(lines):
@@ -87,20 +87,20 @@ def _lines(text: str) -> tuple[list[str], defaultdict[str, list[int]]]:
 
 
 def _rests(lines: list[str], at: list[int]) -> list[str]:
-    """What follows the keyword of these lines."""
+    """The text after the keyword of these lines."""
     return [lines[i].partition(" ")[2].strip() for i in at]
 
 
 def _materials(
     lines: list[str], at: defaultdict[str, list[int]], folder: Path, left_out: Counter[str]
 ) -> tuple[list[Material], Int[HostArray, " f"]]:
-    """The materials that faces use, and the number of each face's; -1 for none."""
+    """The materials of the faces, and the index of each face's material, or -1."""
     library = Materials(_rests(lines, at["mtllib"]), folder, left_out)
     names = _rests(lines, at["usemtl"])
     last = np.searchsorted(at["usemtl"], at["f"]) - 1
     found = {name: library.of(name) for name in dict.fromkeys(names[i] for i in np.unique(last[last >= 0]))}
     numbers = {name: i for i, name in enumerate(name for name, each in found.items() if each is not None)}
-    # The last one is for faces above the first line usemtl.
+    # The last material is for faces above the first line usemtl.
     of_line = np.array([*(numbers.get(name, -1) for name in names), -1])
     return [each for each in found.values() if each is not None], of_line[last]
 
@@ -112,7 +112,7 @@ def _looks(
     sizes: Int[HostArray, " f"],
     left_out: Counter[str],
 ) -> Looks | None:
-    """The colours and textures of faces; none without materials."""
+    """The colours and textures of faces. `None` without materials."""
     if not materials:
         return None
     factors = np.array([*(each.factor for each in materials), Material().factor])
@@ -128,7 +128,7 @@ def _looks(
 
 
 class _Coordinates(NamedTuple):
-    """Texture coordinates (n, 2), and the row of each corner's (c,); -1 for none."""
+    """Texture coordinates (n, 2), and the row of each corner's coordinates (c,), or -1."""
 
     values: Float[HostArray, "n 2"]
     rows: Int[HostArray, " c"]
@@ -137,7 +137,7 @@ class _Coordinates(NamedTuple):
 def _coordinates(
     lines: list[str], at: list[int], words: list[str], face_at: list[int], sizes: Int[HostArray, " f"]
 ) -> _Coordinates | None:
-    """The texture coordinates; none if they are damaged."""
+    """The texture coordinates. `None` if they are damaged."""
     try:
         number = integers([word.partition("/")[2].partition("/")[0] or "0" for word in words])
         values = np.array([lines[i].split()[1:3] for i in at], np.float64)

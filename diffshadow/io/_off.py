@@ -8,8 +8,8 @@ from ._errors import MeshError, damaged
 from ._polygons import Polygons
 from ._text import decode, excerpt, integers, read_points, split_lines
 
-# Texture coordinates, colours and normals follow a vertex's position; they are not read. The keyword may be left out,
-# and some files of ModelNet lack the space behind it.
+# Texture coordinates, colours and normals follow a vertex's position and are not read. The keyword may be missing, and
+# some files of ModelNet lack the space after it.
 _HEADER = re.compile(r"(?:(?:ST)?C?N?(4?)(n?)OFF(?![A-Za-z])|(?=\d))\s*(BINARY\b)?\s*(.*)", re.DOTALL)
 
 

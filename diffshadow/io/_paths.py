@@ -1,4 +1,4 @@
-"""Finds files that a user named."""
+"""Finds a user's files."""
 
 import contextlib
 import difflib
@@ -15,7 +15,7 @@ _COPIES: ContextVar[Mapping[str, Path]] = ContextVar("copies", default=MappingPr
 
 @contextlib.contextmanager
 def reading_copies(copies: Mapping[str, Path]) -> Iterator[None]:
-    """Reads the files at these absolute paths from their copies in the block. Messages still name the paths.
+    """Reads the files at these absolute paths from their copies inside the block. Messages still name the paths.
 
     A worker on another machine reads its inputs in this way.
     """
@@ -27,15 +27,15 @@ def reading_copies(copies: Mapping[str, Path]) -> Iterator[None]:
 
 
 def on_disk(file: Path) -> Path:
-    """Where the content of `file`, an absolute path, is read: its copy, or the file itself."""
+    """The path from which the content of the absolute path `file` is read: its copy, or the file itself."""
     return _COPIES.get().get(os.path.normpath(file), file)
 
 
 def existing_file(path: str | os.PathLike[str], what: str) -> Path:
-    """The absolute path of `path`; `what` names its content in messages, such as "mesh".
+    """The absolute path of `path`. `what` describes its content in messages, such as "mesh".
 
-    **Raises** `FileError` if there is no such file; the message gives the absolute path, and the closest name in its
-    folder if there is one.
+    **Raises** `FileError` if there is no such file. The message has the absolute path, and the most similar name in its
+    folder.
     """
     absolute = Path(os.path.abspath(path))
     if str(absolute) in _COPIES.get():

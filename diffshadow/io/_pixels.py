@@ -1,4 +1,4 @@
-"""What the readers of image files share: limits, orientations, and what becomes of colours."""
+"""Shared code of the image readers: limits, orientations, and the treatment of colours."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -10,9 +10,9 @@ from jaxtyping import Float32, Shaped
 from .._types import HostArray
 from ._errors import FileError
 
-# 8192 squared: far more pixels than any image that is compared, in a few hundred megabytes.
+# 8192 squared: far more pixels than any compared image, in a few hundred megabytes.
 MAX_PIXELS = 1 << 26
-# Colours of a grey image may differ by this much through lossy compression.
+# Lossy compression may make the channels of a grey image differ by this much.
 _GREY = 1 / 64
 
 
@@ -20,7 +20,7 @@ class Pixels(NamedTuple):
     """The pixels of an image file.
 
     - `values`: row 0 is the bottom row.
-    - `remarks`: metadata about pixels that is not obeyed, each phrased to follow the file's name.
+    - `remarks`: ignored metadata about pixels, each phrased to follow the file's name.
     """
 
     values: HostArray
@@ -63,8 +63,8 @@ def mean_colour(channels: Sequence[Shaped[HostArray, "h w"]], remarks: list[str]
     apart = float(np.ptp(stacked, axis=0).max())
     if apart > _GREY:
         remarks.append(
-            f"is in colour: its channels differ by up to {apart:.2g}; their mean is read, whatever its primaries are: "
-            "write the visibility alone, in grey"
+            f"is in colour: its channels differ by up to {apart:.2g}; their mean is read without regard to "
+            "primaries: write only the visibility, in grey"
         )
     return stacked.mean(axis=0)
 

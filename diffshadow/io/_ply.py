@@ -37,11 +37,11 @@ _TYPES = {
 }
 _Order = Literal["=", "<", ">"]
 _ORDERS: Mapping[str, _Order] = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
-# The names that writers give to the list of a face's corners.
+# Common names for the list of a face's corners.
 _CORNERS = ("vertex_indices", "vertex_index")
 _NORMAL = ("nx", "ny", "nz")
 _COLOUR, _ALPHA = ("red", "green", "blue"), ("alpha",)
-# The names that writers give to texture coordinates; the first are written.
+# Common names for texture coordinates. The first names are written.
 _COORDINATES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 # Every float64 from here on is a whole number.
 _LONGEST = 2.0**53
@@ -68,12 +68,12 @@ class _Column(NamedTuple):
     sizes: Int[HostArray, " n"]
 
 
-# Of each element, by its name.
+# The values of each element, by its name.
 _Columns = Mapping[str, Mapping[str, _Column]]
 
 
 class _Header(NamedTuple):
-    """The elements of a file; `starts` are where its data may begin, the likeliest first."""
+    """The elements of a file. `starts` are the possible start positions of its data, with the likeliest first."""
 
     order: _Order
     elements: list[_Element]
@@ -83,7 +83,7 @@ class _Header(NamedTuple):
 def read_ply(data: bytes) -> Polygons:
     """Reads the faces, and the triangles of strips.
 
-    **Raises** `MeshError` if the file is damaged, or holds more than its header announces.
+    **Raises** `MeshError` if the file is damaged, or longer than its header announces.
     """
     if data.startswith(codecs.BOM_UTF8):
         data = data[len(codecs.BOM_UTF8) :]
@@ -110,8 +110,8 @@ def read_ply(data: bytes) -> Polygons:
 
 
 def _looks(vertex: Mapping[str, _Column], types: Mapping[str, np.dtype]) -> Looks | None:
-    """Colours and alpha of vertices, as they are from 0 to 1 or as parts of the greatest integer of their type, and
-    texture coordinates."""
+    """Colours and alpha of vertices, stored from 0 to 1 or as fractions of their integer type's maximum, and texture
+    coordinates."""
     has = lambda names: all(name in vertex and (vertex[name].sizes == 1).all() for name in names)
     greatest = lambda kind: np.iinfo(kind).max if kind.kind in "iu" else 1
     parts = lambda names: _points(vertex, names) / [greatest(types[name]) for name in names] if has(names) else None
@@ -175,7 +175,7 @@ def _binary(data: bytes, header: _Header) -> _Columns:
     for start in header.starts:
         try:
             columns, end = _read_all(data, start, header.elements)
-            # Some writers fill up the last block of bytes.
+            # Some writers pad the last block of bytes.
             left = len(data[end:].strip(b"\0 \t\r\n"))
             if not left:
                 return columns
@@ -188,7 +188,7 @@ def _binary(data: bytes, header: _Header) -> _Columns:
 def _text(data: bytes, header: _Header) -> tuple[_Columns, int]:
     """The columns of each element, and the number of words that belong to no property of the header.
 
-    **Raises** `MeshError` if there are others than numbers, or more or fewer than the header announces.
+    **Raises** `MeshError` for words that are not numbers, and if there are more or fewer than the header announces.
     """
     body = data[header.starts[0] :]
     elements = [element._replace(properties=_in_doubles(element.properties)) for element in header.elements]
@@ -208,7 +208,7 @@ def _text(data: bytes, header: _Header) -> tuple[_Columns, int]:
 
 
 def _announced(body: bytes, elements: Sequence[_Element]) -> list[bytes] | None:
-    """The words of the announced properties, if each row has a line of its own that may end with further columns.
+    """The words of the announced properties, if each row has its own line. A line may end with further columns.
 
     `None` if the lines are not such rows.
     """
@@ -232,7 +232,7 @@ def _announced(body: bytes, elements: Sequence[_Element]) -> list[bytes] | None:
 
 
 def _as_binary(words: Sequence[bytes]) -> bytes:
-    """The numbers of a text file as float64, so that text and binary files are read by the same code."""
+    """The numbers of a text file as float64, so that the same code reads text and binary files."""
     try:
         return parsed(words).tobytes()
     except ValueError:
@@ -264,7 +264,7 @@ def _read(data: bytes, start: int, element: _Element) -> tuple[Mapping[str, _Col
 
 
 def _read_alike(data: bytes, start: int, element: _Element) -> tuple[Mapping[str, _Column], int] | None:
-    """`_read` for elements whose lists are as long in every row as in the first; `None` if they are not."""
+    """`_read` for elements whose lists have the same length in every row. `None` if they do not."""
     fields, lengths, at = [], [], start
     for i, p in enumerate(element.properties):
         lengths.append(1 if p.length is None else _length(data, at, p.length, element))

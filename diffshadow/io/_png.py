@@ -17,18 +17,18 @@ from ._paths import on_disk
 from ._pixels import Merge, Pixels, check_size, mean_colour, upright
 from ._text import excerpt
 
-# Types of images.
+# Colour types of images.
 _GREY, _COLOUR, _PALETTE, _GREY_ALPHA = 0, 2, 3, 4
-# Values that are proportional to light: a code of the chunk cICP, and a gamma in 100,000ths.
+# Encodings that are proportional to light: a code of the chunk cICP, and a gamma in 100,000ths.
 _LINEAR_TRANSFER, _LINEAR_GAMMA = 8, 100_000
 _EXIF_ORIENTATION = 0x0112
 
 
 class _Samples(NamedTuple):
-    """Samples from 0 to 2^depth - 1; row 0 is the top row.
+    """Samples from 0 to 2^depth - 1. Row 0 is the top row.
 
     - `colours`: one channel or three.
-    - `opacity`: none if the image has neither alpha nor a transparent colour.
+    - `opacity`: `None` if the image has neither alpha nor a transparent colour.
     """
 
     colours: list[UInt[HostArray, "h w"]]
@@ -37,7 +37,8 @@ class _Samples(NamedTuple):
 
 
 def read_png(file: Path, merge: Merge = mean_colour, curves: Sequence[str | None] = (None,)) -> Pixels:
-    """Reads an image from 0 to 1 as it is stored: the mean of its colours, or the result of `merge`. Alpha is ignored.
+    """Reads the stored values of an image from 0 to 1: the mean of its colours, or the result of `merge`. Alpha is
+    ignored.
 
     **Arguments:** `curves`: the encodings that need no remark.
 
@@ -68,7 +69,7 @@ def read_png(file: Path, merge: Merge = mean_colour, curves: Sequence[str | None
 
 
 def write_levels(file: Path, levels: UInt[HostArray, "h w *c"]) -> None:
-    """Writes grey of 8 or 16 bits, or colours of 8, row 0 the top row."""
+    """Writes grey with 8 or 16 bits, or colours with 8 bits. Row 0 is the top row."""
     Image.fromarray(levels).save(file)
 
 
@@ -88,7 +89,7 @@ def _samples(data: bytes, depth: int, kind: int, transparent: bytes) -> _Samples
 
     **Arguments:**
 
-    - `transparent`: the chunk tRNS, which makes a colour, or entries of the palette, transparent.
+    - `transparent`: the chunk tRNS, which makes a colour or entries of the palette transparent.
     """
     if kind == _PALETTE:
         # A palette has 8 bits.
@@ -104,7 +105,7 @@ def _samples(data: bytes, depth: int, kind: int, transparent: bytes) -> _Samples
 
 
 def _wide(data: bytes, kind: int) -> list[UInt[HostArray, "h w"]]:
-    """The channels of an image of 16 bits. Pillow drops the lower bytes of all but grey ones."""
+    """The channels of a 16-bit image. Pillow drops the lower bytes unless the image is grey."""
     if kind == _GREY:
         return [_decoded(data).astype(np.uint16)]
     if kind == _GREY_ALPHA:
@@ -112,15 +113,15 @@ def _wide(data: bytes, kind: int) -> list[UInt[HostArray, "h w"]]:
         parts = _split(_decoded(data, raw="RGBA"))
         upper, lower = parts[0::2], parts[1::2]
     else:
-        # Read in the other byte order, the lower bytes are the upper ones.
+        # In the other byte order, the lower bytes become the upper ones.
         mode = "RGB" if kind == _COLOUR else "RGBA"
         upper, lower = _split(_decoded(data)), _split(_decoded(data, raw=f"{mode};16L"))
     return [high.astype(np.uint16) << 8 | low for high, low in zip(upper, lower, strict=True)]
 
 
 def _decoded(data: bytes, raw: str | None = None, convert: str | None = None) -> Shaped[HostArray, "h w *c"]:
-    """The pixels as Pillow reads them, or with the stored bytes taken to be of its raw mode `raw`."""
-    # Pillow warns about damage that does not concern the pixels.
+    """The pixels as Pillow reads them, or the stored bytes interpreted in Pillow's raw mode `raw`."""
+    # Pillow warns about damage that does not affect the pixels.
     with warnings.catch_warnings(action="ignore"), Image.open(io.BytesIO(data), formats=["PNG"]) as image:
         if raw is not None:
             image.tile = [image.tile[0]._replace(args=raw)]
@@ -136,7 +137,7 @@ def _split(pixels: Shaped[HostArray, "h w *c"]) -> list[UInt[HostArray, "h w"]]:
 def _opacity(
     channels: Sequence[UInt[HostArray, "h w"]], depth: int, transparent: bytes
 ) -> UInt[HostArray, "h w"] | None:
-    """Of an image without alpha: 0 in the transparent colour."""
+    """The opacity of an image without alpha: 0 where it has the transparent colour."""
     if len(transparent) < 2 * len(channels):
         return None
     key = struct.unpack_from(f">{len(channels)}H", transparent)
@@ -145,13 +146,14 @@ def _opacity(
 
 
 def _unit(channel: UInt[HostArray, "h w"], depth: int, significant: int) -> Float32[HostArray, "h w"]:
-    """The samples from 0 to 1. Writers fill the bits below the `significant` ones as they like (section 11.3.2.7)."""
+    """The samples from 0 to 1. Writers may store anything in the bits below the `significant` ones (section
+    11.3.2.7)."""
     bits = significant if 0 < significant < depth else depth
     return (channel >> (depth - bits)).astype(np.float32) / (2**bits - 1)
 
 
 def _orientation(data: bytes, remarks: list[str]) -> int:
-    """How the image is to be turned, by its Exif or XMP; 1 if they do not say. Damage is added to `remarks`."""
+    """The orientation of the image from its Exif or XMP data; 1 if they have none. Damage is added to `remarks`."""
     try:
         # Pillow warns about some kinds of damage, and raises errors of any type about others.
         with warnings.catch_warnings(action="error"), Image.open(io.BytesIO(data), formats=["PNG"]) as image:
@@ -162,7 +164,7 @@ def _orientation(data: bytes, remarks: list[str]) -> int:
 
 
 def _remarks(chunks: Mapping[bytes, bytes], curves: Sequence[str | None]) -> Iterator[str]:
-    """What chunks say of the pixels that is not obeyed."""
+    """Remarks on ignored pixel properties in the chunks."""
     encoding = _encoding(chunks)
     if encoding not in curves:
         read, mend = ("linear", "without a curve") if None in curves and len(curves) == 1 else ("sRGB", "in sRGB")
@@ -179,7 +181,8 @@ def _remarks(chunks: Mapping[bytes, bytes], curves: Sequence[str | None]) -> Ite
 
 
 def _encoding(chunks: Mapping[bytes, bytes]) -> str | None:
-    """The chunk that says that values are not proportional to light: of several, the format's preferred one."""
+    """The chunk that says that values are not proportional to light. If there are several, the one that the format
+    prefers."""
     if b"cICP" in chunks:
         transfer = chunks[b"cICP"][1]
         return None if transfer == _LINEAR_TRANSFER else f"cICP, of the transfer function {transfer}"

@@ -1,4 +1,4 @@
-"""Polygons with any number of corners, as files store them, and their triangulation."""
+"""Polygons with any number of corners, as in files, and their triangulation."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -12,26 +12,26 @@ from .._types import HostArray
 from ._errors import MeshError
 from ._looks import Looks
 
-# Areas of flipped triangles that are tolerated, as fractions of the face's squared extent. `_EXACT` allows for float64
-# rounding. `_TOUCHING` allows for files with few digits, whose outlines may cross slightly where they should touch.
+# Tolerated areas of flipped triangles, as fractions of the face's squared extent. `_EXACT` allows for float64 rounding.
+# `_TOUCHING` allows for files with few digits, whose outlines may cross slightly where they should touch.
 _EXACT, _TOUCHING = 1e-9, 1e-4
 # A face is flat if its corners are this close to its plane, as a fraction of its extent.
 _FLAT = 1e-3
-# Beyond this, the vertices of instances fill gigabytes.
+# Beyond this number, the vertices of instances take gigabytes.
 _MAX_REPEATED = 1 << 25
 
 
 class Polygons(NamedTuple):
-    """Faces, with their corners one after another.
+    """Faces, with the corners of all faces in one array.
 
     - `vertices`: (v, 3), float64.
-    - `corners`: (c,), indices into `vertices`; the corners of a face run anticlockwise seen from outside.
+    - `corners`: (c,), indices into `vertices`; the corners of a face run anticlockwise when seen from outside.
     - `sizes`: (f,), the number of corners of each face.
-    - `left_out`: how many elements of other kinds the file holds, by their singular names, such as "line".
-    - `normals`: (v, 3), float64, the vertices' normals, of any length; none if the file has none, or a format whose
-      normals are not read.
+    - `left_out`: the number of other elements in the file, by their singular names, such as "line".
+    - `normals`: (v, 3), float64, the vertices' normals, of any length; `None` if the file has none, or if normals are
+      not read from its format.
     - `are_fans`: whether the faces may be concave polygons that a library has cut as fans.
-    - `looks`: their colours and textures; none if the file has none, or a format whose colours are not read.
+    - `looks`: their colours and textures; `None` if the file has none, or if colours are not read from its format.
     """
 
     vertices: Float[HostArray, "v 3"]
@@ -81,7 +81,7 @@ def triangulate(polygons: Polygons) -> Int[HostArray, "t 3"]:
 def _cut(points: Float[HostArray, "n 3"], number: int) -> Int[HostArray, "t 3"]:
     """The triangles (n - 2, 3) of the face with these corners, as indices of the corners.
 
-    **Raises** `MeshError` if the face crosses itself; `number` names the face in the message.
+    **Raises** `MeshError` if the face crosses itself. `number` identifies the face in the message.
     """
     offsets = points - points[0]
     offsets /= np.abs(offsets).max()
@@ -108,7 +108,7 @@ def _cut(points: Float[HostArray, "n 3"], number: int) -> Int[HostArray, "t 3"]:
 
 
 def strip_triangles(strip: Int[HostArray, " n"]) -> Int[HostArray, "t 3"]:
-    """The triangles of a strip of n vertices; every other one is reversed so that all have the same winding."""
+    """The triangles of a strip of n vertices. Every second triangle is reversed so that all have the same winding."""
     triangles = np.stack([strip[:-2], strip[1:-1], strip[2:]], axis=-1) if len(strip) > 2 else strip[:0].reshape(0, 3)
     triangles[1::2] = triangles[1::2, ::-1]
     return triangles
@@ -120,7 +120,7 @@ def repeated(
     normals: Float[HostArray, "v 3"] | None,
     to_world: Float[HostArray, "n 4 4"],
 ) -> tuple[Float[HostArray, "v2 3"], Int[HostArray, "t2 3"], Float[HostArray, "v2 3"] | None]:
-    """Vertices, triangles and normals in world space, once for each matrix; a mirror reverses the winding.
+    """Vertices, triangles and normals in world space, repeated for each matrix. A mirror reverses the winding.
 
     **Raises** `MeshError` for more triangles or vertices than fit into memory.
     """
@@ -136,7 +136,7 @@ def repeated(
     faces = (wound + len(points) * np.arange(len(to_world))[:, None, None]).reshape(-1, 3)
     if normals is None:
         return vertices, faces, None
-    # By the inverse transpose, up to a factor, which also holds for a scale of 0.
+    # The inverse transpose, up to a factor. This also works for a scale of 0.
     turned = normals @ np.stack([np.cross(linear[:, :, i - 2], linear[:, :, i - 1]) for i in range(3)], axis=1)
     length = np.linalg.norm(turned, axis=-1, keepdims=True)
     return vertices, faces, (turned / np.where(length > 0, length, 1) * np.where(is_mirrored, -1, 1)).reshape(-1, 3)
@@ -147,8 +147,8 @@ def _upright(
 ) -> Bool[HostArray, " t"]:
     """Whether each triangle has the winding of its face; `face` (t,) is sorted.
 
-    If all triangles of a face have it, they cover the face exactly once and nothing else. A flipped triangle is
-    tolerated if its area is at most `tolerance` times the face's squared extent.
+    If all triangles of a face have its winding, they cover exactly the face. A flipped triangle is tolerated if its
+    area is at most `tolerance` times the face's squared extent.
     """
     if len(face) == 0:
         return np.zeros(0, bool)
@@ -163,6 +163,6 @@ def _upright(
     length = np.linalg.norm(whole, axis=-1)
     normal = whole / np.where(length > 0, length, 1)[:, None]
     signed = (areas * normal[of]).sum(axis=-1)
-    # A face without area has no normal, and its triangles must have no area either.
+    # A face without area has no normal, so its triangles must not have an area either.
     flat = length <= tolerance
     return np.where(flat[of], np.linalg.norm(areas, axis=-1) <= tolerance, signed >= -tolerance)

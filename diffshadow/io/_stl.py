@@ -12,13 +12,13 @@ from ._polygons import Polygons
 from ._text import decode, excerpt, read_points, split_lines
 
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-# Bytes of the name, before the number of facets.
+# The length of the name before the number of facets, in bytes.
 _NAME = 80
-# What a line of text may be.
+# The possible keywords of a line of text.
 _BLANK, _SOLID, _BEGIN, _OUTER, _VERTEX, _ENDLOOP, _ENDFACET, _UNKNOWN = range(8)
 _KINDS = {"solid": _SOLID, "endsolid": _SOLID, "facet": _BEGIN, "endfacet": _ENDFACET, "endloop": _ENDLOOP}
 _KINDS |= {"outer": _OUTER, "outerloop": _OUTER, "vertex": _VERTEX, "": _BLANK}
-# Some writers divide the keywords that begin with `end`, or put several on a line.
+# Some writers divide the keywords that begin with `end`, or put several on one line.
 _DIVIDED = re.compile(r"\bend[ \t]+(?=loop\b|facet\b|solid\b)", re.IGNORECASE)
 _KEYWORD = re.compile(r"(?<!\S)(?=(?:facet|outer|vertex|endloop|endfacet|endsolid)(?!\S))", re.IGNORECASE)
 
@@ -61,7 +61,7 @@ def _kind(line: str) -> int:
 
 
 def _statements(lines: Sequence[str]) -> Iterator[tuple[int, str]]:
-    """What begins with a keyword, without the rest of a solid's name, and the number of its line."""
+    """The lines that begin with a keyword, without the rest of a solid's name, and their line numbers."""
     is_name = False
     for number, line in enumerate(lines, start=1):
         for part in _KEYWORD.split(line):
@@ -72,7 +72,7 @@ def _statements(lines: Sequence[str]) -> Iterator[tuple[int, str]]:
 
 
 def _check(lines: Sequence[str], numbers: Sequence[int], kinds: Int[HostArray, " l"]) -> None:
-    """**Raises** `MeshError` for a loop that does not end, or a line that begins with no keyword."""
+    """**Raises** `MeshError` for a loop that does not end, or for a line that begins with no keyword."""
     place = np.arange(len(kinds))
     latest = lambda kind: np.maximum.accumulate(np.where(kinds == kind, place, -1))
     # Names may take several lines.

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from .._types import HostArray
 from ._errors import damaged
 
-# UTF-32 first, since its mark begins with the mark of UTF-16.
+# UTF-32 comes first, because its mark begins with the mark of UTF-16.
 _MARKS = (
     (codecs.BOM_UTF32_LE, "utf-32-le"),
     (codecs.BOM_UTF32_BE, "utf-32-be"),
@@ -17,17 +17,17 @@ _MARKS = (
     (codecs.BOM_UTF16_LE, "utf-16-le"),
     (codecs.BOM_UTF16_BE, "utf-16-be"),
 )
-# The most characters of a line that a message quotes.
+# The maximum number of characters of a line that a message quotes.
 _EXCERPT = 40
-# The most characters of a list of names in a message.
+# The maximum number of characters of a list of names in a message.
 _LIST = 160
 
 
 def decode(data: bytes) -> str:
     """Decodes text of unknown encoding that begins with an ASCII character.
 
-    If there is a byte order mark, it gives the encoding. Otherwise the encoding is UTF-16 if the first or second byte
-    is zero, UTF-8 if the bytes are valid, and else Latin-1, in which any bytes are valid. Only comments and names have
+    A byte order mark gives the encoding. Without a mark, the encoding is UTF-16 if the first or second byte is zero,
+    UTF-8 if the bytes are valid, and otherwise Latin-1, where any bytes are valid. Only comments and names have
     characters other than ASCII.
     """
     for mark, encoding in _MARKS:
@@ -71,9 +71,9 @@ def read_points(
 
     **Arguments:**
 
-    - `numbers`: each line's number, for errors; by default counted from 1.
+    - `numbers`: each line's number for errors; by default counted from 1.
 
-    **Raises** `MeshError` if a line has fewer than three, or a word that is not a number.
+    **Raises** `MeshError` if a line has fewer than three numbers, or a word that is not a number.
     """
     words = [word for i in at for word in lines[i].split(None, first + 3)[first : first + 3]]
     try:

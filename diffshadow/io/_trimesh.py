@@ -1,4 +1,4 @@
-"""Meshes in formats without a reader of our own, which trimesh reads."""
+"""Meshes in other formats, which trimesh reads."""
 
 import io
 import re
@@ -10,31 +10,32 @@ import numpy as np
 from ._errors import MeshError, damaged
 from ._polygons import Polygons
 
-# Formats whose faces are all triangles. trimesh cuts other faces as fans, which is wrong where they are concave.
+# Formats whose faces are all triangles. trimesh cuts other faces as fans, which is wrong for concave faces.
 _TRIANGLES_ONLY = {"3mf", "ctm", "drc", "stl_ascii"}
-# Which package reads a format is in the message of trimesh's error, in one of these forms.
+# The message of trimesh's error names the required package in one of these forms.
 _PACKAGE = re.compile(r"No module named '([^']+)'|pip install ([\w.-]+)")
 
 
 def suffix_of_others(file: Path) -> str | None:
-    """The suffix of `file` without its dot, which names its format for trimesh; none if trimesh does not read it."""
-    # trimesh takes long to load, and few files need it.
+    """The suffix of `file` without its dot, which is trimesh's name for the format. `None` if trimesh does not read
+    it."""
+    # trimesh is slow to load, and few files need it.
     from trimesh.exchange import load
 
     known = {*load.mesh_loaders, *load.compressed_loaders}
     name = file.name.lower()
-    # `tar.gz` rather than `gz`.
+    # Prefers `tar.gz` to `gz`.
     return max((suffix for suffix in known if name.endswith(f".{suffix}")), key=len, default=None)
 
 
 def read_others(data: bytes, suffix: str, name: str) -> Polygons:
-    """Reads the triangles of all meshes of a file, placed as its scene says. Normals are not read.
+    """Reads the triangles of all meshes of a file, at their positions in its scene. Normals are not read.
 
     **Arguments:**
 
-    - `suffix`: the format, from `suffix_of_others`; `name`: the file's name, which tells trimesh what is compressed.
+    - `suffix`: the format, from `suffix_of_others`; `name`: the file's name, which tells trimesh the compression.
 
-    **Raises** `MeshError` if the file is damaged, or a package that its format needs is missing.
+    **Raises** `MeshError` if the file is damaged, or if a package for its format is missing.
     """
     import trimesh
 
@@ -42,9 +43,9 @@ def read_others(data: bytes, suffix: str, name: str) -> Polygons:
     stream.name = name
     try:
         with warnings.catch_warnings():
-            # Libraries' remarks on other libraries.
+            # Libraries warn about other libraries.
             warnings.simplefilter("ignore")
-            # Unprocessed, since processing drops what is not finite.
+            # Unprocessed, because processing drops vertices that are not finite.
             scene = trimesh.load_scene(stream, file_type=suffix, process=False)
         meshes = [each for each in scene.dump() if isinstance(each, trimesh.Trimesh)]
     except ImportError as error:
@@ -54,7 +55,7 @@ def read_others(data: bytes, suffix: str, name: str) -> Polygons:
             f"is in the format {suffix}, which needs a package that is not installed: {package}; install it "
             "(pip install 'diffshadow[meshes]' adds 3MF and COLLADA), or convert the file to OBJ, PLY or glTF"
         ) from error
-    except Exception as error:  # trimesh's readers raise many types
+    except Exception as error:  # trimesh's readers raise many types.
         raise damaged(f"trimesh cannot read it ({error or type(error).__name__})") from error
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
     none = np.zeros((0, 3))

@@ -42,35 +42,35 @@ from ._looks import levels_of, png_of
 _FLOAT, _UNSIGNED = 5126, 5125
 _VERTICES, _INDICES = 34962, 34963
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942
-# The angles of a cone differ, and the outer one is at most a right angle: KHR_lights_punctual.
+# KHR_lights_punctual: the angles of a cone differ, and the outer angle is at most a right angle.
 _NARROWER = 1 - 1e-6
-# A projection is centred if its middle is off by less than rounding.
+# A projection counts as centred if its centre is off by less than rounding errors.
 _CENTRED = 1e-6
 
 
 def write_gltf(path: str | os.PathLike[str], scene: Scene, *, extras: Mapping[str, Any] | None = None) -> None:
     """Writes a scene, such as a fitted scene, as glTF 2.0 for other renderers.
 
-    Meshes have the normals of their corners and their albedo. A single colour is written as the material's colour;
-    several colours, and colours of corners, are written as colours of vertices (`COLOR_0`, linear). Textures are PNG
-    images within the file, with 8 bits, and their samplers. Faces with different materials become separate primitives.
-    Alpha tests become materials of mode MASK, with the corners' alpha in `COLOR_0`. A vertex is repeated if its corners
-    differ in normal, colour or texture coordinates. Cameras are perspective or orthographic. A directional, point or
-    spot light becomes a light of KHR_lights_punctual with intensity 1. A rectangle light becomes a point light, and a
-    light of matrices becomes a directional or a spot light. The `extras` of the nodes of cameras and lights have all of
-    their fields under `diffshadow`, such as near and far of a shadow map, and the `extras` of meshes say whether they
-    cast and receive shadows. `read_scene` and `diffshadow import` read meshes, cameras and lights back.
+    Meshes have the normals of their corners and their albedo. A single colour is written as the material's colour.
+    Several colours, and colours of corners, are written as vertex colours (`COLOR_0`, linear). Textures are 8-bit PNG
+    images within the file, with their samplers. Faces with different materials become separate primitives. Alpha tests
+    become materials of mode MASK, with the corners' alpha in `COLOR_0`. A vertex is repeated if its corners differ in
+    normal, colour or texture coordinates. Cameras are perspective or orthographic. A directional, point or spot light
+    becomes a light of KHR_lights_punctual with intensity 1. A rectangle light becomes a point light, and a light of
+    matrices becomes a directional or a spot light. The `extras` of the nodes of cameras and lights have all of their
+    fields under `diffshadow`, such as near and far of a shadow map, and the `extras` of meshes say whether they cast
+    and receive shadows. `read_scene` and `diffshadow import` read meshes, cameras and lights back.
 
     **Arguments:**
 
-    - `path`: `.glb` for one binary file; `.gltf` for JSON, with the arrays inside.
-    - `scene`: with known values. A scene with an origin is written in world coordinates.
+    - `path`: `.glb` for one binary file; `.gltf` for JSON with embedded arrays.
+    - `scene`: a scene without traced values. A scene with an origin is written in world coordinates.
     - `extras`: numbers and texts, lists and dictionaries of these, for the `extras` of the file's scene, such as
         `FitResult.fitted`.
 
-    **Raises** `FileError` if the file cannot be written or its name ends otherwise; `ValueError` for values that are
-    traced by JAX, a camera whose projection is off-centre, and `extras` that JSON cannot hold; and `TypeError` for an
-    object that is not a scene.
+    **Raises** `FileError` if the file cannot be written or has another suffix; `ValueError` for traced values, for a
+    camera with an off-centre projection, and for `extras` that JSON cannot store; and `TypeError` for an object that is
+    not a scene.
     """
     check_instance("what to write", scene, Scene, "a Scene")
     suffix = Path(path).suffix.lower()
@@ -87,7 +87,7 @@ def write_gltf(path: str | os.PathLike[str], scene: Scene, *, extras: Mapping[st
 
 
 class _Arrays:
-    """The accessors of a file, and the bytes that they read."""
+    """The accessors of a file, and their bytes."""
 
     def __init__(self) -> None:
         self.accessors: list[dict[str, Any]] = []
@@ -110,16 +110,16 @@ class _Arrays:
         return len(self.accessors) - 1
 
     def add_image(self, image: Float[HostArray, "h w 4"]) -> int:
-        """Adds an image of linear texels, row 0 the bottom row. **Returns** the number of its buffer view."""
+        """Adds an image of linear texels. Row 0 is the bottom row. **Returns** the number of its buffer view."""
         data = png_of(levels_of(image))
         self.views.append({"buffer": 0, "byteOffset": len(self.binary), "byteLength": len(data)})
-        # What follows begins at a multiple of four bytes.
+        # The next view begins at a multiple of four bytes.
         self.binary += data + b"\0" * (-len(data) % 4)
         return len(self.views) - 1
 
 
 def _document(scene: Scene, extras: Mapping[str, Any]) -> tuple[dict[str, Any], bytes]:
-    """The file's JSON but for its buffer, and the buffer's bytes."""
+    """The file's JSON without its buffer, and the buffer's bytes."""
     arrays = _Arrays()
     meshes, materials, nodes, images, textures = [], [], [], [], []
     samplers: list[Sampler] = []
@@ -149,7 +149,7 @@ def _document(scene: Scene, extras: Mapping[str, Any]) -> tuple[dict[str, Any], 
         lights.append(kind)
         its = {"extras": {EXTRAS: _fields(light)}, "extensions": {LIGHTS: {"light": i}}}
         nodes.append({"name": f"light {i}", **place, **its})
-    # In double precision, while what stands in arrays is counted from the origin.
+    # In double precision; the values in arrays are relative to the origin.
     root = {
         "name": "scene",
         "children": list(range(len(nodes))),
@@ -172,14 +172,14 @@ def _document(scene: Scene, extras: Mapping[str, Any]) -> tuple[dict[str, Any], 
 
 
 def _sampler(sampler: Sampler) -> dict[str, int]:
-    """The sampler by the numbers of OpenGL."""
+    """The sampler with OpenGL's constants."""
     number = lambda numbers, word: next(number for number, each in numbers.items() if each == word)
     u, v = (number(WRAPS, word) for word in sampler.wrap)
     return {"wrapS": u, "wrapT": v, "magFilter": number(FILTERS, sampler.filter)}
 
 
 class _Texture(NamedTuple):
-    """Linear texels, the cutoff of the alpha test, 0 for none, and how the texture is read."""
+    """Linear texels, the cutoff of the alpha test (0 for none), and the sampler."""
 
     image: Float[HostArray, "h w 4"]
     cutoff: float
@@ -187,7 +187,7 @@ class _Texture(NamedTuple):
 
 
 def _by_texture(mesh: Mesh) -> Iterator[tuple[Mesh, _Texture | None]]:
-    """The faces of each texture of a mesh, and of none, as a mesh of their own."""
+    """A separate mesh for the faces of each texture, and for the faces without a texture."""
     if mesh.textures is None:
         yield mesh, None
         return
@@ -217,7 +217,7 @@ def _primitive(mesh: Mesh, arrays: _Arrays) -> tuple[dict[str, Any], dict[str, A
     # An image's first row is its top row.
     uv = None if mesh.textures is None else _known(mesh.textures.uv).reshape(-1, 2) * (1, -1) + (0, 1)
     corners = _known(mesh.corner_normals).reshape(-1, 3).astype(np.float32)
-    # A face without area has none, and the format wants unit vectors.
+    # A face without area has no normal, but the format requires unit vectors.
     corners = np.where(np.abs(corners).sum(axis=1, keepdims=True) > 0, corners, np.asarray([0, 0, 1], np.float32))
     columns = [faces.reshape(-1, 1).astype(np.float64), corners]
     columns += [values for values in (colours, uv) if values is not None]
@@ -237,7 +237,7 @@ def _primitive(mesh: Mesh, arrays: _Arrays) -> tuple[dict[str, Any], dict[str, A
 
 
 def _camera(camera: AbstractCamera) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The camera, and where its node is."""
+    """The camera, and the position of its node."""
     view = camera.view()
     clip = _known(view.eye_to_clip).astype(np.float64)
     off = clip[:2, 2] if view.is_perspective else clip[:2, 3]
@@ -257,7 +257,7 @@ def _camera(camera: AbstractCamera) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def _light(light: AbstractLight) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The light, and where its node is."""
+    """The light, and the position of its node."""
     plain = {"color": [1.0, 1.0, 1.0], "intensity": 1.0}
     view = None if isinstance(light, PointLight) else light.view()
     if view is None or not isinstance(light, DirectionalLight | SpotLight | MatrixLight):
@@ -271,7 +271,7 @@ def _light(light: AbstractLight) -> tuple[dict[str, Any], dict[str, Any]]:
         outer, inner = (math.radians(float(_known(angle))) for angle in angles)
         place = _known(light.position)
     else:
-        # Around the whole of its frustum.
+        # Encloses its whole frustum.
         across, up = (1 / _known(view.eye_to_clip)[k, k] for k in range(2))
         outer, inner, place = math.atan(math.hypot(across, up)), 0.0, None
     cone = {"innerConeAngle": min(inner, outer * _NARROWER), "outerConeAngle": outer}
@@ -279,9 +279,10 @@ def _light(light: AbstractLight) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def _placed(view: View, place: HostArray | None) -> list[float]:
-    """The matrix of a node whose eye looks as `view` does, column by column, at `place` (3,) or the view's eye."""
+    """The matrix of a node whose axes are those of `view`, in column-major order, at `place` (3,) or at the view's
+    eye."""
     to_eye = _known(view.world_to_eye).astype(np.float64)
-    # Rounded to single precision, its axes are not quite orthogonal.
+    # After rounding to single precision, its axes are not quite orthogonal.
     left, _, right = np.linalg.svd(to_eye[:3, :3])
     matrix = np.eye(4)
     matrix[:3, :3] = (left @ right).T
@@ -311,7 +312,8 @@ def _json(document: Mapping[str, Any]) -> bytes:
         return json.dumps(document, allow_nan=False, separators=(",", ":")).encode()
     except (TypeError, ValueError) as error:
         raise ValueError(
-            f"the extras hold what JSON cannot ({error}); expected numbers, texts, and lists and dictionaries of these"
+            f"the extras have values that JSON cannot store ({error}); expected numbers, texts, and lists and "
+            "dictionaries of these"
         ) from error
 
 

@@ -46,7 +46,7 @@ def measure_aliasing(extent: ArrayLike, mask: ArrayLike) -> AliasingFigures:
     values = extents[inside]
     if not (np.isfinite(values) & (values >= 0)).all():
         raise ValueError("some extents are negative, NaN or infinite; expected pixels, 0 or more")
-    # An extent of 0, of a texel seen exactly edge-on, has no logarithm.
+    # A texel seen exactly edge-on has the extent 0, which has no logarithm.
     logarithms = np.log2(np.maximum(values, np.finfo(np.float32).tiny))
     return AliasingFigures(
         worst=float(values.max()),

@@ -2,9 +2,9 @@
 
 False shadow is acne; false light is leaks and Peter-panning. A pixel of the reference is *lit* at visibility 1, *dark*
 at 0 (both to within 1e-6), and in penumbra in between. The error of a pixel is the fraction of the light that is
-wrongly removed or added. Counting pixels that are more wrong than right would miss acne that a filter spreads thinly
-over many pixels. Errors at a shadow's outline depend on the map's resolution and are not meant here, so a band along
-the outline is left out.
+wrongly removed or added. A count of pixels that are more wrong than right would miss acne that a filter spreads thinly
+over many pixels. Errors at a shadow's outline depend on the map's resolution and are excluded, so a band along the
+outline is left out.
 """
 
 import dataclasses
@@ -124,7 +124,7 @@ def ssim(visibility: ArrayLike, reference: ArrayLike, mask: ArrayLike | None = N
 
 
 def _blur(values: Float64[HostArray, "h w"]) -> Float64[HostArray, "h w"]:
-    """The Gaussian-weighted sum round each pixel; values outside the image are zero."""
+    """The Gaussian-weighted sum around each pixel. Values outside the image are zero."""
     offset = np.arange(_WINDOW) - _WINDOW // 2
     kernel = np.exp(-(offset**2) / (2 * _SIGMA**2))
     kernel /= kernel.sum()
@@ -166,7 +166,7 @@ def false_light_rate(
 
 
 def _interior(region: Bool[HostArray, "h w"], mask: Bool[HostArray, "h w"], band: int) -> Bool[HostArray, "h w"]:
-    """The pixels of `region` that lie more than `band` pixels from the rest of `mask`."""
+    """The pixels of `region` that are more than `band` pixels from the rest of `mask`."""
     if isinstance(band, bool) or not isinstance(band, int | np.integer) or band < 0:
         raise ValueError(f"band is {band!r}; expected a whole number of pixels, 0 or more")
     rest = (mask & ~region).astype(np.uint8)

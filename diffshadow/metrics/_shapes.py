@@ -12,7 +12,7 @@ from ._inputs import check_on_host
 Triangles = tuple[HostArray, HostArray]
 """Vertices (v, 3) and faces (f, 3). Each mesh has its own v and f."""
 
-# Of 20,000 points, a mesh is half a percent of its size from itself.
+# With 20,000 points, the distance of a mesh from itself is half a percent of its size.
 _SAMPLES, _QUERIES = 600_000, 20_000
 
 

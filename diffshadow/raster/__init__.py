@@ -1,4 +1,4 @@
-"""Rasterization: the face that each pixel sees, and its depth and attributes."""
+"""Rasterization: the visible face of each pixel, and its depth and attributes."""
 
 from ..settings.maps import Cull
 from ._antialias import AntialiasedSurface, AntialiasPlan, draw_antialiased, plan_antialiasing

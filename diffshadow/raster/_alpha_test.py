@@ -1,8 +1,8 @@
-"""The alpha test: which pixels of a triangle its texture cuts out, as by `discard` in a fragment shader.
+"""The alpha test: the pixels that a triangle's texture cuts out, like `discard` in a fragment shader.
 
-Texture coordinates are perspective-correct: with the corners' (x, y, w) as the columns of M, their weights at the point
-(X, Y) of the view are M⁻¹ (X, Y, 1) up to a factor (2D homogeneous rasterization, Olano & Greer 1997). So triangles
-that reach behind the eye need no clipping here. There are no mipmaps.
+Texture coordinates are perspective-correct. If the corners' (x, y, w) are the columns of M, their weights at the point
+(X, Y) of the view are M⁻¹ (X, Y, 1) up to a factor (2D homogeneous rasterization, Olano & Greer 1997). Triangles that
+reach behind the eye therefore need no clipping here. There are no mipmaps.
 """
 
 from typing import Any, NamedTuple
@@ -16,8 +16,8 @@ from ..geometry import Textures, read_texels
 
 
 class Cutouts(NamedTuple):
-    """What an alpha test reads of textures: the `alpha` of all texels (n, 1), and `table`, `cutoff` and `samplers` as
-    there."""
+    """The parts of textures that an alpha test reads: the `alpha` of all texels (n, 1), and the textures' `table`,
+    `cutoff` and `samplers`."""
 
     alpha: Float[Array, "n 1"]
     table: Int[Array, "t 3"]
@@ -26,27 +26,27 @@ class Cutouts(NamedTuple):
 
     @classmethod
     def of(cls, textures: Textures) -> "Cutouts":
-        """Of textures with cutoffs."""
+        """The alpha textures of textures with cutoffs."""
         assert textures.cutoff is not None
         return cls(textures.texels[:, 3:], textures.table, textures.cutoff, textures.samplers)
 
     def passes(
         self, index: Int[Array, "*m"], uv: Float[Array, "*m 2"], factor: Float[Array, "*m"] | None
     ) -> Bool[Array, "*m"]:
-        """Whether points with these textures and texture coordinates are not cut out; `factor` is the mean alpha of
-        their corners, if these have one."""
+        """Whether points with these textures and texture coordinates pass the test. `factor` is the mean alpha of their
+        corners, if the corners have one."""
         alpha = read_texels(self.alpha, self.table, self.samplers, index, uv)[..., 0]
         alpha = alpha if factor is None else alpha * factor
         return (index < 0) | (alpha >= take(self.cutoff, jnp.maximum(index, 0)))
 
 
 class AlphaForm(NamedTuple):
-    """Texture coordinates of triangles about the pixel of each one's first corner, (n,) each.
+    """Texture coordinates of triangles relative to each triangle's first pixel, (n,) each.
 
-    At `i` pixels to the right and `j` above that pixel, the coordinates are `u / w` and `v / w`, and the mean alpha of
-    the corners `alpha / w`, where each of the four is its first number, plus `i` times its second, plus `j` times its
-    third. A window begins `x` to the right and `y` above. So a pixel has the same coordinates whatever part of an image
-    it is drawn with.
+    At `i` pixels to the right of that pixel and `j` pixels above it, the texture coordinates are `u / w` and `v / w`.
+    The mean alpha of the corners is `alpha / w`. Each of the four is its first number, plus `i` times its second, plus
+    `j` times its third. A window begins `x` pixels to the right and `y` pixels above. The coordinates of a pixel are
+    therefore the same in every part of an image.
     """
 
     u: list[Float[Array, " n"]]
@@ -63,8 +63,8 @@ class AlphaTest:
 
     **Arguments:**
 
-    - `textures`: of the faces, with cutoffs.
-    - `clip`, `faces`, `resolution`: of the whole image, as for `rasterize`.
+    - `textures`: the textures of the faces, with cutoffs.
+    - `clip`, `faces`, `resolution`: as for `rasterize`, for the whole image.
     """
 
     def __init__(self, textures: Textures, clip: ClipVertices, faces: Faces, resolution: Viewport):
@@ -75,7 +75,7 @@ class AlphaTest:
     def form(self, face: Int[Array, " n"], x: Int[Array, " n"], y: Int[Array, " n"]) -> AlphaForm:
         """The texture coordinates of faces in windows that begin at the pixels (`x`, `y`) of the image."""
         corners, uv = take(self.clip, take(self.faces, face)), take(self.uv, face)
-        # In single precision, whatever is the default.
+        # In single precision, whatever the default precision.
         height, width = (jnp.asarray(size, jnp.float32) for size in self.resolution)
         centre = lambda pixel, size: (pixel.astype(jnp.float32) + 0.5) * (2 / size) - 1
         w = [corners[:, k, 3] for k in range(3)]
@@ -100,12 +100,12 @@ class AlphaTest:
 
     @staticmethod
     def _pixel(at: Float[Array, " n"], w: Float[Array, " n"], size: Float[Array, ""]) -> Int[Array, " n"]:
-        """The pixel of a clip coordinate, or the one nearest to it in the image; any for a corner behind the eye."""
+        """The pixel at a clip coordinate, or the nearest pixel of the image. Arbitrary for a corner behind the eye."""
         place = (safe_divide(at, jnp.maximum(w, 0)) * 0.5 + 0.5) * size
         return jnp.clip(place, 0, size - 1).astype(jnp.int32)
 
     def passes(self, form: AlphaForm, side: int) -> Bool[Array, "n side side"]:
-        """Which of the `side` x `side` pixels from each triangle's own are not cut out."""
+        """Which of the `side` x `side` pixels from each triangle's first pixel pass the test."""
         i = jnp.arange(side, dtype=jnp.int32)
         each = lambda values: values[:, None, None]
         x, y = (each(form.x) + i).astype(jnp.float32), (each(form.y) + i[:, None]).astype(jnp.float32)

@@ -1,8 +1,8 @@
 """Drawing a large image in bands of rows, from the bottom to the top, so that the buffer stays in a CPU's cache.
 
-Triangles are sorted by the band that their first row lies in. Windows that reach into the next band are written into
-the padding of the buffer. The padding becomes the first rows of the next buffer. Large triangles are cut into blocks in
-each band anew.
+Triangles are sorted by the band of their first row. Windows that reach into the next band are written into
+the padding of the buffer. The padding becomes the first rows of the next buffer. Large triangles are cut into blocks
+again for each band.
 """
 
 import dataclasses
@@ -23,24 +23,25 @@ from ._compact import Groups
 from ._depth_test import DepthTest
 from ._windows import PADDING, Chunk, Drawing, DrawPass, Finish, Write
 
-# Buffers of at most so many bytes are not split. Bands of larger ones have at least so many bytes, and so many rows.
+# Buffers up to this size, in bytes, are not split. Larger buffers are split into bands of at least this size and at
+# least this many rows.
 _MAX_IN_ONE, _MIN_BYTES, _MIN_ROWS = 1 << 25, 1 << 21, 128
 
 
 def bands_of(buffer: Resolution, bytes_a_pixel: int) -> int:
-    """How many bands an image is drawn in."""
+    """The number of bands of an image."""
     height, width = buffer
     size = height * (width + PADDING) * bytes_a_pixel
     if is_on_gpu() or size <= _MAX_IN_ONE:
         return 1
-    # A power of two, which divides the height of most images.
+    # A power of two, because it divides the height of most images.
     return 1 << min(size // _MIN_BYTES, height // _MIN_ROWS).bit_length() - 1
 
 
 class BandDrawing(Drawing):
-    """Draws triangles into an image, in a number of `bands`.
+    """Draws triangles into an image that is divided into `bands` bands.
 
-    **Arguments:** otherwise as for `DrawPass` and `bin_triangles`.
+    **Arguments:** the others are as for `DrawPass` and `bin_triangles`.
     """
 
     def __init__(
@@ -90,7 +91,7 @@ class _BandPass(DrawPass):
     def __init__(self, whole: BandDrawing, number: Array):
         triangles, sorted_ = whole.triangles, whole.by_band
         windows = number * LARGE + jnp.arange(LARGE, dtype=jnp.int32)
-        # Large triangles of this band and the one below follow one another; tall ones are apart.
+        # Large triangles of this band and of the band below are adjacent in the order; tall triangles are separate.
         below, here, tall = (whole.bands * LARGE + n for n in (jnp.maximum(number - 1, 0), number, whole.bands))
         self.near = sorted_.starts[here] + sorted_.counts[here] - sorted_.starts[below]
         self.tall = sorted_.starts[tall]
@@ -132,10 +133,10 @@ class _BandPass(DrawPass):
 def _by_band(
     groups: Groups, of_class: Int[Array, " n"], first: Int[Array, " n"], last: Int[Array, " n"], bands: int
 ) -> Groups:
-    """The elements sorted by band, except those to be clipped, which stay last.
+    """The elements sorted by band. Elements that must be clipped stay last.
 
-    Group `band * LARGE + k` has the windows of class `k` in a band, and group `bands * LARGE + band` its large
-    triangles. The last group has the tall ones, which reach further than into the next band.
+    Group `band * LARGE + k` has the windows of class `k` in a band, and group `bands * LARGE + band` has its large
+    triangles. The last group has the tall triangles, which reach beyond the next band.
 
     **Arguments:**
 

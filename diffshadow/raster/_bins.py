@@ -1,10 +1,10 @@
-"""Sorting triangles by the size of their pixel boxes.
+"""Sorts triangles by the size of their pixel boxes.
 
-A triangle whose box holds no pixel centre, that faces a culled way or lies outside the frustum is dropped before any
-pixel is looked at; in a fine mesh that is most of them. The rest fall into size classes: all triangles of a class are
-drawn in windows of the same size. Triangles too big for the largest window are cut into blocks.
+A triangle is dropped before its pixels are tested if its box has no pixel centre, if its side is culled, or if it is
+outside the frustum. This drops most triangles of a fine mesh. The others are divided into size classes. All triangles
+of a class are drawn in windows of the same size. Triangles that do not fit into the largest window are cut into blocks.
 
-In arrays of corners, (3, n), triangles come last: that is what vectorizes.
+Arrays of corners have shape (3, n). The triangles are on the last axis, so that operations vectorize.
 """
 
 from typing import NamedTuple
@@ -22,19 +22,19 @@ from ._compact import Groups, group
 from ._fixed import OfCorners, first_centre, last_centre, signed_area, snap
 
 Facing = tuple[bool | Bool[Array, ""], bool | Bool[Array, ""]]
-"""Whether front faces are drawn, and back faces. It may be known only when a program runs."""
+"""Whether front faces and back faces are drawn. The values may be known only at run time."""
 FACING: dict[Cull, tuple[bool, bool]] = {"none": (True, True), "back": (True, False), "front": (False, True)}
-"""The faces that are drawn, by what is culled."""
+"""The faces that are drawn for each culling mode."""
 
 WINDOWS = (2, 4, 8, 16)
-"""Sides, in pixels, of the windows of the size classes."""
+"""The sides of the size classes' windows, in pixels."""
 LARGE = len(WINDOWS)
-"""The class of triangles too big for a window."""
+"""The class of triangles that are too large for a window."""
 CLIPPED = LARGE + 1
 """The class of triangles that must be clipped first."""
 CLASSES = CLIPPED + 1
 BLOCK = 16
-"""Side, in pixels, of the blocks that large triangles are cut into."""
+"""The side of the blocks of large triangles, in pixels."""
 
 NOTHING = -1
 
@@ -52,15 +52,15 @@ class Corners(NamedTuple):
 
     @classmethod
     def snapped(cls, window: WindowCoordinates) -> "Corners":
-        """Corners at window coordinates, (3, n) each, snapped."""
+        """Snapped corners at window coordinates, (3, n) each."""
         x, y, z = window
-        # The barrier keeps XLA from rounding them again for all that uses them.
+        # Without the barrier, XLA rounds them again for every use.
         x, y = lax.optimization_barrier((snap(x), snap(y)))
         return cls(x, y, z)
 
 
 class Box(NamedTuple):
-    """First and last pixel whose centre a triangle's bounding box holds, within the viewport; each (n,)."""
+    """The first and last pixel whose centre is in a triangle's bounding box, within the viewport; (n,) each."""
 
     left: Int[Array, " n"]
     bottom: Int[Array, " n"]
@@ -72,8 +72,8 @@ class Triangles(eqx.Module):
     """A mesh's triangles in window space.
 
     - `clip`: (v, 4), the vertices in clip space; `x`, `y`, `z`: (v,), in window coordinates, not snapped.
-    - `faces`: (f, 3), indices into them.
-    - `groups`: the faces of each class: first of those in `WINDOWS`, then `LARGE`, then `CLIPPED`.
+    - `faces`: (f, 3), indices into the vertices.
+    - `groups`: the faces of each class: first the classes of `WINDOWS`, then `LARGE`, then `CLIPPED`.
     """
 
     clip: ClipVertices
@@ -90,17 +90,17 @@ class Triangles(eqx.Module):
 
 
 def to_window(clip: Float[Array, "4 ..."], resolution: Viewport) -> WindowCoordinates:
-    """Window x and y in pixels and depth in [0, 1] of clip coordinates, each (*n,); `w = 0` maps to the middle."""
+    """Window x and y in pixels and depth in [0, 1] of clip coordinates, (*n,) each. `w = 0` maps to the centre."""
     height, width = resolution
     w = clip[3]
-    # By the reciprocal, and scaled before it is shifted, as graphics hardware does.
+    # Multiplies by the reciprocal, and scales before it shifts, as graphics hardware does.
     inverse = jnp.where(w == 0, 0, 1 / jnp.where(w == 0, 1, w))
     scaled = lambda k, half: clip[k] * inverse * half + half
     return scaled(0, width * 0.5), scaled(1, height * 0.5), scaled(2, 0.5)
 
 
 def pixel_box(x: OfCorners, y: OfCorners, resolution: Viewport) -> Box:
-    """The pixel box of triangles whose three corners are at fixed-point `x` and `y`."""
+    """The pixel box of triangles with corners at fixed-point `x` and `y`."""
     height, width = resolution
     least = lambda values: jnp.minimum(jnp.minimum(values[0], values[1]), values[2])
     greatest = lambda values: jnp.maximum(jnp.maximum(values[0], values[1]), values[2])
@@ -113,8 +113,9 @@ def pixel_box(x: OfCorners, y: OfCorners, resolution: Viewport) -> Box:
 
 
 class Classified(NamedTuple):
-    """Triangles in window space, not grouped yet: `x`, `y`, `z` (v,) as in `Triangles`, each one's `box`, and its class
-    `of_class` (f,), -1 if it draws nothing. Boxes of those to be clipped mean nothing."""
+    """Triangles in window space, not grouped yet: `x`, `y`, `z` (v,) as in `Triangles`, each triangle's `box`, and its
+    class `of_class` (f,), which is -1 if it draws nothing. The boxes of triangles that must be clipped are
+    meaningless."""
 
     x: Float[Array, " v"]
     y: Float[Array, " v"]
@@ -123,7 +124,7 @@ class Classified(NamedTuple):
     of_class: Int[Array, " f"]
 
     def grouped(self, clip: ClipVertices, faces: Faces) -> Triangles:
-        """The triangles grouped by class, which were made of these vertices and faces."""
+        """Groups the triangles by class. `clip` and `faces` are the vertices and faces that they were made from."""
         return Triangles(clip, self.x, self.y, self.z, faces, group(self.of_class, CLASSES))
 
 
@@ -135,10 +136,10 @@ def bin_triangles(clip: ClipVertices, faces: Faces, resolution: Viewport, facing
 def classify(clip: ClipVertices, faces: Faces, resolution: Viewport, facing: Facing) -> Classified:
     """The class of each triangle."""
     visible, clipped = _sides(clip, faces, resolution)
-    # Without the barrier the compiler computes each vertex anew for every corner that gathers it.
+    # Without the barrier, XLA computes each vertex again for every corner that gathers it.
     x, y, z = lax.optimization_barrier(to_window(clip.T, resolution))
     fixed_x, fixed_y = lax.optimization_barrier((snap(x), snap(y)))
-    # One gather per corner, which XLA fuses with what follows: a million faces take half the time.
+    # One gather per corner, which XLA fuses with the operations that follow. A million faces take half the time.
     xs, ys = ([take(values, faces[:, k]) for k in range(3)] for values in (fixed_x, fixed_y))
     box = pixel_box(xs, ys, resolution)
     size = jnp.maximum(box.right - box.left, box.top - box.bottom) + 1
@@ -150,7 +151,7 @@ def classify(clip: ClipVertices, faces: Faces, resolution: Viewport, facing: Fac
 
 
 def draws(x: OfCorners, y: OfCorners, box: Box, facing: Facing) -> Bool[Array, " n"]:
-    """Whether triangles whose three corners are at fixed-point `x` and `y` may draw something within their `box`."""
+    """Whether triangles with corners at fixed-point `x` and `y` may cover a pixel in their `box`."""
     area = signed_area(x, y)
     front, back = facing
     faces = ((area > 0) & front) | ((area < 0) & back)
@@ -158,12 +159,12 @@ def draws(x: OfCorners, y: OfCorners, box: Box, facing: Facing) -> Bool[Array, "
 
 
 def _sides(clip: ClipVertices, faces: Faces, resolution: Viewport) -> tuple[Bool[Array, " f"], Bool[Array, " f"]]:
-    """Which faces may be seen at all, and which of those need clipping."""
+    """Which faces may be visible, and which of these need clipping."""
     x, y, z, w = (clip[:, k] for k in range(4))
-    # One code per vertex, and so one gather per corner: 6 bits for the frustum's planes, 1 for clipping.
+    # One code per vertex needs one gather per corner: 6 bits for the frustum's planes, and 1 bit for clipping.
     tests = [x > w, x < -w, y > w, y < -w, z > w, z < -w, needs_clipping(clip, resolution)]
     codes = lax.optimization_barrier(sum(test.astype(jnp.int32) << bit for bit, test in enumerate(tests)))
     first, second, third = take(codes, faces.T)
-    # Padded meshes have many faces that are points.
+    # Many faces of padded meshes are points.
     visible = ((first & second & third & 0b111111) == 0) & (faces[:, 0] != faces[:, 1])
     return visible, visible & (((first | second | third) >> 6) != 0)

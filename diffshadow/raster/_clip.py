@@ -19,7 +19,7 @@ PLANES = 6
 # A plane adds at most one corner to a convex polygon; a polygon of k corners is a fan of k - 2 triangles.
 _CORNERS = 3 + PLANES
 FAN = _CORNERS - 2
-# The least w that is kept, as a fraction of the triangle's greatest.
+# The minimum w of a part, as a fraction of the triangle's maximum w.
 _MIN_W = 1e-6
 
 
@@ -46,7 +46,7 @@ def clip_triangles(corners: Float[Array, "4 3 n"], resolution: Viewport) -> Floa
 
     - `corners`: (4, 3, n), clip coordinates.
 
-    **Returns:** (4, 3, 7, n), a fan of triangles for each; unused triangles have no area.
+    **Returns:** (4, 3, 7, n), a fan of triangles for each triangle. Unused entries have no area.
     """
     gx, gy = guard_ratio(resolution)
     # Inside is plane · (x, y, z, w) >= 0. The last plane keeps w above 0 even if the near plane does not.
@@ -56,7 +56,7 @@ def clip_triangles(corners: Float[Array, "4 3 n"], resolution: Viewport) -> Floa
     offsets = jnp.array([0, 0, 0, 0, 0, _MIN_W], corners.dtype)
     scale = jnp.max(jnp.abs(corners[3]), axis=0)
     start = jnp.pad(corners, ((0, 0), (0, PLANES), (0, 0))), jnp.full(scale.shape, 3, jnp.int32)
-    # A loop, since its six iterations unrolled would take seconds to compile.
+    # A loop, because six unrolled iterations would take seconds to compile.
     clip = lambda polygon, plane: (_clip_against(*polygon, *plane), None)
     (polygon, count), _ = jax.lax.scan(clip, start, (planes, offsets[:, None] * scale))
     fan = jnp.arange(1, FAN + 1, dtype=jnp.int32)[:, None]
@@ -70,7 +70,7 @@ def clip_triangles(corners: Float[Array, "4 3 n"], resolution: Viewport) -> Floa
 def _clip_against(
     polygon: Float[Array, "4 m n"], count: Int[Array, " n"], plane: Float[Array, "4"], offset: Float[Array, " n"]
 ) -> tuple[Float[Array, "4 m n"], Int[Array, " n"]]:
-    """The parts of polygons of `count` corners each on the inner side of a plane."""
+    """The parts of polygons with `count` corners each on the inner side of a plane."""
     slots = polygon.shape[1]
     slot = np.arange(slots, dtype=np.int32)[:, None]
     used, next_ = slot < count, lambda values: jnp.where(slot + 1 < count, jnp.roll(values, -1, -2), values[..., :1, :])
@@ -79,14 +79,14 @@ def _clip_against(
     distance_following = next_(distance)
     inside, inside_following = distance >= 0, distance_following >= 0
     crosses = inside != inside_following
-    # From the inner corner outwards, so that two triangles that share an edge compute the same point.
+    # Interpolates from the inner corner outwards, so that two triangles with a common edge compute the same point.
     inner, outer = jnp.where(inside, polygon, following), jnp.where(inside, following, polygon)
     d_inner = jnp.where(inside, distance, distance_following)
     d_outer = jnp.where(inside, distance_following, distance)
     t = d_inner / jnp.where(crosses, d_inner - d_outer, 1)
     crossing = inner + t * (outer - inner)
 
-    # A corner that is inside comes before the crossing after it. Either goes to the slot that is its rank.
+    # An inner corner comes before the crossing after it. Each goes to the slot of its rank.
     keeps, cuts = used & inside, used & crosses
     both = jnp.where(keeps, 1, 0) + jnp.where(cuts, 1, 0)
     before = jnp.sum(jnp.where(slot[:, None] < slot, both[:, None], 0), axis=0, dtype=jnp.int32)

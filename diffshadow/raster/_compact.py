@@ -9,16 +9,16 @@ from jaxtyping import Array, Bool, Int
 from .._arithmetic import sums_up_to, take
 from .._device import is_on_gpu
 
-# Elements are counted in runs of this length, so that the count of a class in a run fits into 5 bits, and the counts of
-# six classes into one integer.
+# Elements are counted in runs of this length. The count of a class in a run then fits into 5 bits, and six counts fit
+# into one integer.
 _RUN = 16
 _BITS = 5
 _MAX_CLASSES = 6
 
 
 class Groups(NamedTuple):
-    """`elements` (n,) are indices ordered by class; `starts` (c,) is where each class begins among them, `counts` (c,)
-    its size."""
+    """`elements` (n,) are indices ordered by class. `starts` (c,) has the position of each class's first element, and
+    `counts` (c,) the sizes."""
 
     elements: Int[Array, " n"]
     starts: Int[Array, " c"]
@@ -27,7 +27,7 @@ class Groups(NamedTuple):
     def chunk(
         self, of_class: int | Array, number: Array, length: int
     ) -> tuple[Int[Array, " length"], Bool[Array, " length"]]:
-        """The elements of chunk `number` of a class, and whether each is one: the last chunk is padded."""
+        """The elements of chunk `number` of a class, and a mask of valid entries. The last chunk is padded."""
         rank = number * length + jnp.arange(length, dtype=jnp.int32)
         used = rank < self.counts[of_class]
         return take(self.elements, jnp.where(used, self.starts[of_class] + rank, 0)), used

@@ -1,4 +1,4 @@
-"""What the pixels of an image see at their centres, and at their corners."""
+"""The faces at the centres and at the corners of an image's pixels."""
 
 from functools import partial
 from typing import Any
@@ -17,14 +17,14 @@ from ._rasterize import Fragments, rasterize
 def rasterize_with_corners(
     clip: Float[Array, "*l v 4"], faces: Faces, resolution: Resolution, **how: Any
 ) -> tuple[Fragments, Fragments]:
-    """What pixels see at their centres, (h, w), and at their corners, (h + 1, w + 1), of each layer.
+    """The faces that each layer sees at pixel centres, (h, w), and at pixel corners, (h + 1, w + 1).
 
-    Both are views of one drawing, so that the rasterizer is compiled once. Arguments, also `how`, are as for
+    Both are views of one drawing, so that the rasterizer is compiled once. Arguments, including `how`, are as for
     `rasterize`.
     """
     height, width = resolution
     if not is_traced((clip, faces)):
-        # They share a program anyway, and need not be put together.
+        # They share a program anyway, so they need not be combined.
         draw = partial(rasterize, faces=faces, buffer=(height + 1, width + 1), **how)
         return draw(clip, resolution=resolution), draw(
             _about_corners(clip, resolution), resolution=(height + 1, width + 1)
@@ -37,21 +37,21 @@ def rasterize_with_corners(
 
 @eqx.filter_jit
 def _centres_and_corners(clip: Float[Array, "*l v 4"], resolution: Resolution) -> Float[Array, "m v 4"]:
-    """Clip coordinates of all layers of an image, and then of all layers of an image of its pixels' corners."""
+    """Clip coordinates of all layers of an image, followed by all layers of the image of its pixel corners."""
     layers = clip.reshape(-1, *clip.shape[-2:])
     return jnp.concatenate([layers, _about_corners(layers, resolution)])
 
 
 @eqx.filter_jit
 def _about_corners(clip: Float[Array, "*l v 4"], resolution: Resolution) -> Float[Array, "*l v 4"]:
-    """Clip coordinates of an image whose pixel centres are the corners of the image's pixels."""
+    """Clip coordinates for an image whose pixel centres are this image's pixel corners."""
     height, width = resolution
     return clip * jnp.array([width / (width + 1), height / (height + 1), 1, 1], clip.dtype)
 
 
 @eqx.filter_jit
 def _parted(seen: Fragments, layers: tuple[int, ...], resolution: Resolution) -> tuple[Fragments, Fragments]:
-    """The images at centres and at corners, of the views of `_centres_and_corners`."""
+    """The images at centres and at corners, from the views of `_centres_and_corners`."""
     height, width = resolution
     parts = jax.tree.map(lambda image: image.reshape(2, *layers, *image.shape[-2:]), seen)
     centres = jax.tree.map(lambda image: image[0, ..., :height, :width], parts)

@@ -1,11 +1,10 @@
-"""Counting fragments in front of or behind a depth buffer, as a two-sided stencil buffer does.
+"""Counts fragments in front of or behind a depth buffer, like a two-sided stencil buffer.
 
-Instead of keeping the nearest of all fragments, every pixel adds up the weights of all fragments that pass, or of all
-that fail, the depth test against a fixed buffer. Triangles are clipped, binned, covered and written as the
-depth pass does it, with a scatter that adds in place of one that keeps the least; so a triangle that both draw has
-bit-equal depths in both.
+The depth pass keeps the nearest fragment of each pixel. This pass instead adds up the weights of all fragments that
+pass the depth test against a fixed buffer, or of all fragments that fail it. Both passes clip, bin, cover and write
+triangles in the same way, except that this scatter adds. A triangle therefore has bit-equal depths in both.
 
-The far plane cuts nothing: fragments beyond it count as if they lay in it (OpenGL's depth clamp).
+The far plane clips nothing. Fragments beyond it are moved into it (OpenGL's depth clamp).
 """
 
 from typing import Literal
@@ -29,7 +28,7 @@ from ._windows import CLIPPED_READS, DROPPED_WRITES, GATHER, PADDING, SCATTER, D
 
 When = Literal["pass", "fail"]
 
-# Depths at the far plane are drawn too.
+# Also draws depths at the far plane.
 _CLAMPED = DepthTest(compare="less_equal")
 
 
@@ -40,24 +39,24 @@ def count_fragments(
     depth: DepthMap,
     when: When,
 ) -> Int[Array, "h w"]:
-    """For each pixel, the sum of the weights of front faces' fragments, less the sum for back faces.
+    """For each pixel, the sum of the weights of front faces' fragments minus the sum for back faces.
 
     **Arguments:**
 
-    - `clip`: (v, 4), vertices in OpenGL clip space; `w` may have either sign, or be 0 for a vertex at infinity.
-    - `faces`: (f, 3), indices into `clip`; anticlockwise in the window is a front face.
-    - `weights`: (f,), the weight of each face; a face of weight 0 takes almost no time.
+    - `clip`: (v, 4), vertices in OpenGL clip space. `w` may have either sign, or be 0 for a vertex at infinity.
+    - `faces`: (f, 3), indices into `clip`. Front faces are anticlockwise in the window.
+    - `weights`: (f,), the weight of each face. A face of weight 0 takes almost no time.
     - `depth`: (h, w), window depth, from `rasterize`. The sums have its resolution.
-    - `when`: which fragments count: `"pass"` for fragments nearer than `depth`, `"fail"` for all others. Geometry in
-        front of the near plane is clipped in both cases.
+    - `when`: the fragments to count: `"pass"` for fragments nearer than `depth`, `"fail"` for all others. Geometry in
+      front of the near plane is clipped in both cases.
 
-    **Raises** `ValueError` if `when` is neither.
+    **Raises** `ValueError` for any other `when`.
     """
     check_value("which fragments count", when, When)
     if not isinstance(weights, Tracer):
         clip, faces = padded(clip, faces)
         weights = as_array(padded_to(weights, faces.shape[0]))
-    # Which ones is data, so that both ways to count share a program.
+    # The choice is data, so that both choices share a program.
     return _count_fragments(clip, faces, weights, depth, np.bool_(when == "pass"))
 
 
@@ -80,23 +79,24 @@ def _count_fragments(clip, faces, weights, depth, nearer) -> Int[Array, "h w"]:
 
 
 def _flattened(clip: ClipVertices, faces: Faces, weights: Int[Array, " f"]) -> tuple[Float[Array, "w 4"], Faces]:
-    """The triangles, moved into the far plane if beyond it, and out of sight if they do not count."""
+    """The triangles. Triangles beyond the far plane are moved into it, and triangles that do not count are moved out of
+    sight."""
     vertices = clip.shape[0]
-    # Triangles wholly beyond the far plane are moved into it, by second copies of their vertices.
+    # Triangles that lie entirely beyond the far plane get second copies of their vertices in it.
     beyond = clip[:, 2] > clip[:, 3]
     all_beyond = beyond[faces[:, 0]] & beyond[faces[:, 1]] & beyond[faces[:, 2]]
     flattened = clip.at[:, 2].set(clip[:, 3])
     faces = jnp.where(all_beyond[:, None], faces + vertices, faces)
-    # Triangles that do not count become this vertex, which the frustum rejects.
+    # Triangles that do not count get this vertex, which the frustum rejects.
     outside = jnp.array([[0, 0, 2, 1]], clip.dtype)
     faces = jnp.where(weights[:, None] == 0, 2 * vertices, faces)
     return jnp.concatenate([clip, flattened, outside]), faces
 
 
 def _counted(form: EdgeForm, side: int, padded: DepthMap, nearer: Bool[Array, ""]) -> Int[Array, "n side side"]:
-    """1 at the pixels whose fragments count, which are `nearer` or not, else 0."""
+    """1 for counted fragments, which are `nearer` or not, and 0 for other pixels."""
     z = window_depth(form, jnp.ones(form.x.shape, bool), side, _CLAMPED)
-    # As the depth pass stores it alone, whatever the compiler would fuse it with.
+    # The depth as the depth pass stores it, even where the compiler fuses operations.
     z = lax.optimization_barrier(z)
     stored = lax.gather(padded, corner(form), GATHER, (side, side), mode=CLIPPED_READS)
     covered, is_nearer = z < jnp.inf, z < stored

@@ -1,4 +1,4 @@
-"""Which pixel centres a triangle covers, and how deep it is there."""
+"""The pixel centres that a triangle covers, and its depth there."""
 
 from typing import Any, NamedTuple
 
@@ -13,13 +13,14 @@ from ._bins import Corners, WindowCoordinates
 from ._depth_test import DepthTest
 from ._fixed import SUBPIXEL_BITS, SUBPIXELS, edge_at_pixel, owns_edge, signed_area
 
-# A centre may lie outside its unsnapped triangle by half a sub-pixel, and its depth beyond the corners' by this share
-# of their range; a sliver's would run far further, and is held back.
+# A centre may lie outside its unsnapped triangle by half a sub-pixel. Its depth may then exceed the range of the
+# corners' depths by this fraction of the range. The limit matters for slivers, whose depths would otherwise run far
+# outside.
 _OVERSHOOT = 0.02
 
 
 class DepthPlane(NamedTuple):
-    """Planes of window depth: its value at the centre of pixel (0, 0), and its slopes per pixel; (n,) each."""
+    """Planes of window depth: the value at the centre of pixel (0, 0), and the slopes per pixel; (n,) each."""
 
     origin: Float[Array, " n"]
     slope_x: Float[Array, " n"]
@@ -27,12 +28,12 @@ class DepthPlane(NamedTuple):
 
 
 class EdgeForm(eqx.Module):
-    """Triangles as three edge functions about a pixel (`x`, `y`) of each one's own, and a depth plane.
+    """Triangles as three edge functions relative to a pixel (`x`, `y`) of each triangle, and a depth plane.
 
-    At `i` pixels to the right and `j` above that pixel the edge functions are `edge + i · a + j · b`, none negative
-    where the centre is inside. Depth at the centre of a pixel comes from `plane`, kept between `least` and `greatest`;
-    `offset` is added by polygon offset, if there is one. `turn` is 1 for front faces, which are anticlockwise, and -1
-    for others. The pixel's own place in the buffer is (`row`, `column`). With an alpha test, `alpha` has the texture
+    At `i` pixels to the right of that pixel and `j` pixels above it, the edge functions are `edge + i · a + j · b`. The
+    centre is inside if none is negative. The depth at a pixel centre comes from `plane` and is clamped to `least` and
+    `greatest`. Polygon offset adds `offset`, if it is set. `turn` is 1 for front faces, which are anticlockwise, and -1
+    for back faces. The pixel is at (`row`, `column`) in the buffer. With an alpha test, `alpha` has the texture
     coordinates.
     """
 
@@ -61,14 +62,14 @@ def edge_form(
     polygon_offset: Float[Array, "2"] | None,
     alpha: AlphaForm | None = None,
 ) -> EdgeForm:
-    """Edge functions of triangles, either winding, about the pixels (`x`, `y`).
+    """Edge functions of triangles of either winding, relative to the pixels (`x`, `y`).
 
     **Arguments:**
 
-    - `plane`: the planes they lie in.
+    - `plane`: the planes of the triangles.
     - `place`: row and column of these pixels in the buffer.
     - `polygon_offset`: (2,), OpenGL's factor and units.
-    - `alpha`: their texture coordinates about these pixels, for an alpha test.
+    - `alpha`: the texture coordinates relative to these pixels, for an alpha test.
     """
     turn = jnp.where(signed_area(corners.x, corners.y) < 0, -1, 1)
     centre_x, centre_y = ((pixel << SUBPIXEL_BITS) + SUBPIXELS // 2 for pixel in (x, y))
@@ -89,10 +90,10 @@ def edge_form(
 
 
 def plane_of_corners(window: WindowCoordinates, corners: Corners) -> DepthPlane:
-    """The planes of triangles, either winding.
+    """The planes of triangles of either winding.
 
-    From corners that are not snapped, with the order of operations of Mesa's rasterizer, so that two surfaces that
-    nearly touch are ordered as Mesa orders them.
+    The corners are not snapped, and the order of operations is the one of Mesa's rasterizer. So two surfaces that
+    nearly touch are ordered as in Mesa.
     """
     clockwise = signed_area(corners.x, corners.y) < 0
     (x0, y0, z0), (x1, y1, z1), (x2, y2, z2) = (
@@ -108,13 +109,13 @@ def plane_of_corners(window: WindowCoordinates, corners: Corners) -> DepthPlane:
 
 
 def plane_of_clip(corners: Float[Array, "4 3 n"], resolution: Viewport) -> DepthPlane:
-    """The planes of triangles in clip coordinates, which may reach behind the eye.
+    """The planes of triangles in clip coordinates. The triangles may reach behind the eye.
 
-    The parts that clipping leaves of a triangle may be slivers thousands of pixels long, whose own planes would be lost
-    in rounding. They all lie in this one. Let M have the corners' (x, y, w) as columns, and let z be the row of their
+    Clipping may leave slivers that are thousands of pixels long. Rounding would spoil the planes of the slivers, so all
+    parts use the plane of their triangle. Let M have the corners' (x, y, w) as columns, and let z be the row of their
     z: the depth at a point (x, y) of the view is z M⁻¹ (x, y, 1).
     """
-    # A corner may have any scale. Without it, products of three large numbers could overflow.
+    # A corner may have any scale. Unscaled products of three large numbers could overflow.
     size = jnp.max(jnp.abs(corners), axis=0)
     x, y, z, w = corners / jnp.where(size > 0, size, 1)
     pairs = ((1, 2), (2, 0), (0, 1))
@@ -130,14 +131,14 @@ def plane_of_clip(corners: Float[Array, "4 3 n"], resolution: Viewport) -> Depth
 
 
 def window_depth(form: EdgeForm, used: Bool[Array, " n"], side: int, test: DepthTest) -> Float[Array, "n side side"]:
-    """What a depth buffer would store at the `side` x `side` pixels from each triangle's own.
+    """The stored depth at the `side` x `side` pixels from each triangle's first pixel.
 
-    Infinite where the triangle does not cover the centre, does not pass against an empty buffer, or is not `used`.
+    Infinite where the triangle does not cover the centre, fails against an empty buffer, or is not `used`.
     """
     i = jnp.arange(side, dtype=jnp.int32)
     j = i[:, None]
     each = lambda values: values[:, None, None]
-    # All three are non-negative where none has its sign bit set.
+    # All three are non-negative if none has its sign bit set.
     first, second, third = (each(form.edge[k]) + each(form.a[k]) * i + each(form.b[k]) * j for k in range(3))
     inside = each(used) & ((first | second | third) >= 0)
     x, y = (each(form.x) + i).astype(jnp.float32), (each(form.y) + j).astype(jnp.float32)
@@ -146,12 +147,13 @@ def window_depth(form: EdgeForm, used: Bool[Array, " n"], side: int, test: Depth
     inside = inside & (z >= 0) & (z <= 1)
     if form.offset is not None:
         z = _between(0, z + each(form.offset), 1)
-    # Never -0, whose bits would order it otherwise.
+    # Avoids -0, because its bits would sort wrongly.
     stored = test.encode(jnp.abs(z))
     return jnp.where(inside & test.passes_empty(stored), stored, jnp.inf)
 
 
 def _between(least: Any, values: Float[Array, "*n"], greatest: Any) -> Float[Array, "*n"]:
-    """`jnp.clip`, in one instruction for each bound instead of four, which are for bounds that are NaN."""
+    """Like `jnp.clip`, but with one instruction for each bound. `jnp.clip` needs four, because it handles NaN
+    bounds."""
     values = jnp.where(least > values, least, values)
     return jnp.where(greatest < values, greatest, values)

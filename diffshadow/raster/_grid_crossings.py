@@ -1,4 +1,4 @@
-"""Where line segments cross the lines of the pixel grid."""
+"""The crossings of line segments with the lines of the pixel grid."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,7 +11,7 @@ from ._items import Items
 class GridCrossings(eqx.Module):
     """Crossings of segments with grid lines, on which x or y is an integer.
 
-    - `segment`: (n,), which segment; -1 for no crossing.
+    - `segment`: (n,), the index of the segment, or -1 for no crossing.
     - `axis`: (n,), 0 if x is an integer on the line, 1 if y is.
     - `line`: (n,), that integer.
     """
@@ -22,10 +22,11 @@ class GridCrossings(eqx.Module):
 
 
 def count_crossings(start: Float[Array, "s 2"], end: Float[Array, "s 2"], used: Bool[Array, " s"]) -> Int[Array, "s 2"]:
-    """How many grid lines of either axis each segment crosses, from `start` to `end` in pixels; 0 if not `used`.
+    """The number of grid lines of each axis that each segment crosses, from `start` to `end` in pixels. 0 if not
+    `used`.
 
-    A line through a segment's lower end does not count as crossed, and one through its upper end does. So a chain of
-    segments that turns back on a line crosses it twice or not at all.
+    A line through a segment's lower end does not count, and a line through its upper end does. A chain of segments that
+    turns back on a line therefore crosses it twice or not at all.
     """
     low, high = jnp.floor(jnp.minimum(start, end)), jnp.floor(jnp.maximum(start, end))
     return jnp.where(used[:, None], (high - low).astype(jnp.int32), 0)
@@ -39,7 +40,7 @@ def grid_crossings(
     **Arguments:**
 
     - `counts`: (s, 2), from `count_crossings`.
-    - `capacity`: the maximum number of crossings; further ones are left out.
+    - `capacity`: the maximum number of crossings. Further crossings are left out.
     """
     each = counts.reshape(-1)
     owner, number, exists = Items.of(each).chunk(0, capacity)

@@ -1,14 +1,14 @@
-"""The irregular z-buffer: triangles against points of a light's view instead of a grid of texels.
+"""The irregular z-buffer, which tests triangles against points of a light's view instead of a grid of texels.
 
 Johnson et al. 2005, "The irregular z-buffer: hardware acceleration for irregular data structures"; Aila & Laine 2004,
 "Alias-free shadow maps". The points are sorted in the light's view (`_strips.py`). Each triangle visits the strips that
-its bounds overlap, and in each the blocks of points between its left and right there. These bounds are wide enough for
-rounding and only leave out pairs that cannot matter. Whether a triangle hides the light from a point is then found
-in world space, in double precision: the point lies inside the three planes through the light and an edge, and
-behind the triangle's own plane.
+its bounds overlap. In each strip, it visits the blocks of points between its left and right bound there. The bounds are
+wide enough for rounding errors and only leave out pairs that cannot matter. Whether a triangle hides the light from a
+point is then tested in world space, in double precision. The point must be inside the three planes through the light
+and an edge, and behind the triangle's plane.
 
-Pairs of triangles and strips are numbered, and so are the blocks of some thousand pairs: loops run over these numbers.
-So memory does not depend on how many pairs there are.
+Pairs of triangles and strips are numbered, and so are the blocks of some thousand pairs. Loops run over these numbers,
+so memory does not depend on the number of pairs.
 """
 
 import functools
@@ -27,26 +27,26 @@ from ._items import Items
 from ._span import extent
 from ._strips import BLOCK, Strips, in_strips
 
-# As fractions of the scene's size: a point that passes an edge by less is hidden by both of its faces, and faces that
-# are nearer than this to a point do not hide it. Both as for rays traced in float64.
+# As fractions of the scene's size. A point within the first distance of an edge is hidden by both of the edge's faces.
+# Faces within the second distance of a point do not hide it. Rays traced in float64 have the same tolerances.
 _TINY = 1e-12
-# Triangles that are closer to the light than this fraction of a point's distance do not hide the point, so that a light
-# on a surface is not hidden by it.
+# Triangles that are closer to the light than this fraction of a point's distance do not hide the point. A surface at
+# the light's position therefore does not hide it.
 _SHORT_OF_LIGHT = 2.0**-20
-# Points this close to the view's border, as a fraction of its size, count as within: a frustum fitted to a surface
-# touches it. Bounds of triangles are widened by twice as much.
+# Points this close to the view's border, as a fraction of its size, count as inside, because a frustum fitted to a
+# surface touches it. Bounds of triangles are widened by twice this value.
 _BORDER, _MARGIN = 1e-6, 2e-6
-# Triangles with corners this close to the light's plane, as a fraction of their distance from the light, or this many
-# views aside, are not cut to strips.
+# Triangles are not cut to strips if a corner is this close to the light's plane, as a fraction of its distance from the
+# light, or outside of the view by this many views.
 _BESIDE, _ASIDE = 1e-9, 1e3
-# How many pairs of triangle and strip, and of triangle and block, are looked at together.
+# The numbers of pairs of triangle and strip, and of triangle and block, that are processed together.
 _ITEMS, _PAIRS = 8192, 2048
 
 
 class Shadows(NamedTuple):
-    """Of each triangle the space that it hides from the light: where `edges`, three planes through the light, are not
-    negative, and `face`, its own plane, is negative, but not below `-reach` (f,). A plane is four coefficients, (f,)
-    each. `opposite`: the height of the third corner above each of the edges' planes, (f,) each."""
+    """The space that each triangle hides from the light. There, `edges`, three planes through the light, are not
+    negative, and `face`, the triangle's plane, is negative but not below `-reach` (f,). A plane has four coefficients,
+    (f,) each. `opposite` is the height of the third corner above each edge's plane, (f,) each."""
 
     edges: list[list[Float[Array, " f"]]]
     face: list[Float[Array, " f"]]
@@ -55,9 +55,9 @@ class Shadows(NamedTuple):
 
 
 class Outlines(NamedTuple):
-    """Triangles in a light's views, (t,) = (views · f,) each; a coordinate of each corner is an array of its own.
+    """Triangles in a light's views, (t,) = (views · f,) each. Each coordinate of each corner is a separate array.
 
-    - `x`, `y`: three (t,) each, corners in the window, both from 0 to 1 over all views.
+    - `x`, `y`: corners in the window, from 0 to 1 over all views, three (t,) each.
     - `left`, `right`, `low`, `high`: bounds within the view, empty for triangles that hide nothing.
     - `cut`: whether the corners may be used.
     """
@@ -78,15 +78,16 @@ def hidden_points(
     points: Float[Array, "n 3"],
     face: Int[Array, " n"],
 ) -> Bool[Array, " n"]:
-    """Which of some points on a mesh do not see the light's centre, (n,).
+    """Which points on a mesh do not see the light's centre, (n,).
 
     **Arguments:**
 
-    - `casts`: (f,), which of the mesh's faces hide the light.
-    - `points`: (n, 3), world units, rounded to any precision: each is moved into its face.
-    - `face`: (n,), the face of `mesh` that each point lies on, which does not hide it; -1 for points that do not count.
+    - `casts`: (f,), the faces of the mesh that hide the light.
+    - `points`: (n, 3), world units, at any precision. Each point is moved into its face.
+    - `face`: (n,), the face of `mesh` that each point is on, which does not hide the point; -1 for points that do not
+      count.
 
-    Points that `seen_points` leaves out are not hidden. Evaluated in double precision, without derivatives.
+    Points that `seen_points` leaves out are not hidden. The test is in double precision, without derivatives.
     """
     given = lax.stop_gradient((mesh.vertices, mesh.faces, casts, light, *_views_of(light, points), points, face))
     alpha_test = lax.stop_gradient(mesh.alpha_test)
@@ -97,8 +98,8 @@ def hidden_points(
 def seen_points(
     mesh: Mesh, light: AbstractLight, points: Float[Array, "n 3"], face: Int[Array, " n"]
 ) -> Bool[Array, " n"]:
-    """Which of some points on a mesh lie in one of the light's views, in front of the light, (n,); the near and far
-    distances of a view cut nothing. Arguments as for `hidden_points`."""
+    """Which points on a mesh are in one of the light's views and in front of the light, (n,). Near and far distances
+    are ignored. Arguments are as for `hidden_points`."""
     given = lax.stop_gradient((mesh.vertices, mesh.faces, light, *_views_of(light, points), points, face))
     with jax.enable_x64(True):
         return _seen_points(*given)
@@ -106,7 +107,7 @@ def seen_points(
 
 @eqx.filter_jit
 def _views_of(light: AbstractLight, points: Array) -> tuple[View, Array | None]:
-    """The light's views, and which of them sees each of `points`, in the precision that they are given in."""
+    """The light's views, and which of them sees each of `points`, at the precision of `points`."""
     return light.view(), light.layer(points)
 
 
@@ -140,9 +141,9 @@ def _hidden_points(
 ) -> Array:
     vertices, light, view, points = in_float64((vertices, light, view, points))
     view = _along_rays(view, light)
-    # Padded meshes have many faces that are points.
+    # Many faces of padded meshes are points.
     casts = casts & (faces[:, 0] != faces[:, 1])
-    # Without the barriers the compiler computes these again for every gather.
+    # Without the barriers, XLA computes these again for every gather.
     corners = lax.optimization_barrier([take(vertices, faces[:, k]) for k in range(3)])
     low = functools.reduce(jnp.minimum, [jnp.min(corner, axis=0) for corner in corners])
     high = functools.reduce(jnp.maximum, [jnp.max(corner, axis=0) for corner in corners])
@@ -158,8 +159,8 @@ def _hidden_points(
 
 
 def _along_rays(view: View, light: AbstractLight) -> View:
-    """The view, rounded to single precision, in which each of the light's rays is a point in double precision, too:
-    triangles then lie where their shadows do."""
+    """A view that does not change if it is rounded to single precision. Each ray of the light is a point in it, also in
+    double precision, so triangles are at the positions of their shadows."""
     towards = light.towards(jnp.zeros((1, 3), jnp.float64))[0]
     turn, shift = view.world_to_eye[..., :3, :3], view.world_to_eye[..., :3, 3]
     along = jnp.sum(turn * towards, axis=-1)
@@ -173,7 +174,7 @@ def _along_rays(view: View, light: AbstractLight) -> View:
 
 
 def _on_faces(points: Float[Array, "n 3"], corners: list[Float[Array, "n 3"]]) -> Float[Array, "n 3"]:
-    """The point of each triangle with `corners`, three (n, 3), that has the barycentric coordinates of `points`."""
+    """The point with the barycentric coordinates of `points` in each triangle with `corners`, three (n, 3)."""
     a, b, c = corners
     ab, ac, ap = b - a, c - a, points - a
     bb, bc, cc, pb, pc = dot(ab, ab), dot(ab, ac), dot(ac, ac), dot(ap, ab), dot(ap, ac)
@@ -185,12 +186,12 @@ def _on_faces(points: Float[Array, "n 3"], corners: list[Float[Array, "n 3"]]) -
 
 
 def _window(view: View, points: Float[Array, "n 3"], layer: Int[Array, " n"] | None) -> tuple[Array, Array, Array]:
-    """Where points lie in the window of all views, which are one above the other, and whether they lie in their
-    view, in front of the light."""
+    """The positions of points in the window of all views, which are stacked vertically, and whether the points are in
+    their view and in front of the light."""
     if layer is None:
         clip = view.clip(points)
     else:
-        # Several times as fast as to gather a matrix for each point.
+        # Several times as fast as gathering a matrix for each point.
         def of_view(number: Array, clip: Array) -> Array:
             return jnp.where((layer == number)[:, None], view.facing(number).clip(points), clip)
 
@@ -209,7 +210,7 @@ def _views(view: View) -> int:
 
 
 def _outlines(view: View, vertices: Array, faces: Array, casts: Bool[Array, " f"]) -> Outlines:
-    """All triangles in each of the views."""
+    """All triangles in each view."""
     views = _views(view)
     clip = lax.optimization_barrier(view.clip_vertices(vertices).reshape(views, -1, 4))
     outlines = lax.map(lambda given: _outlines_of(given[0], given[1], views, faces, casts), (clip, jnp.arange(views)))
@@ -219,8 +220,8 @@ def _outlines(view: View, vertices: Array, faces: Array, casts: Bool[Array, " f"
 def _outlines_of(clip: Array, number: Array, views: int, faces: Array, casts: Bool[Array, " f"]) -> Outlines:
     """The triangles in one view.
 
-    Of a triangle that crosses the light's plane, the part in front of it reaches to infinity in the directions in which
-    its edges cross the plane.
+    If a triangle crosses the light's plane, its front part extends to infinity in the directions where its edges cross
+    the plane.
     """
     at_corners = [[take(clip[:, k], faces[:, corner]) for corner in range(3)] for k in (0, 1, 3)]
     xs, ys, ws = lax.optimization_barrier(at_corners)
@@ -235,7 +236,7 @@ def _outlines_of(clip: Array, number: Array, views: int, faces: Array, casts: Bo
         for corner in range(3):
             other = (corner + 1) % 3
             crosses = ahead[corner] != ahead[other]
-            # Where the edge crosses the plane, times a positive factor.
+            # The point where the edge crosses the plane, times a positive factor.
             where = (at[corner] * ws[other] - at[other] * ws[corner]) * jnp.where(ahead[corner], -1, 1)
             near = jnp.abs(where) <= _BESIDE * (reach[corner] * reach[other])
             low = jnp.where(ahead[corner], projected[corner], jnp.inf)
@@ -264,8 +265,8 @@ def _outlines_of(clip: Array, number: Array, views: int, faces: Array, casts: Bo
 
 
 def _shadows(corners: list[Array], light: AbstractLight, centre: Array) -> Shadows:
-    """The space that each triangle hides, with planes in coordinates from `centre`."""
-    # An array for each coordinate: that is what vectorizes.
+    """The space that each triangle hides, with planes in coordinates relative to `centre`."""
+    # A separate array for each coordinate, so that operations vectorize.
     apart = lambda points: [points[:, k] for k in range(3)]
     a, b, c = (apart(corner - centre) for corner in corners)
     to_light = [apart(light.towards(corner)) for corner in corners]
@@ -314,7 +315,7 @@ def _test(
     tiny: Float[Array, ""],
     textures: Textures | None,
 ) -> Bool[Array, " n"]:
-    """Which points, on their `own` faces (n,), lie in a triangle's shadow."""
+    """Which points, with their `own` faces (n,), are in a triangle's shadow."""
     n, faces = points.shape[0], shadows.reach.shape[0]
     there = strips.order < n
     index = jnp.where(there, strips.order, 0)
@@ -329,7 +330,7 @@ def _test(
     blocks = strips.left.shape[0]
 
     def of_items(state: tuple[Array, Array]) -> tuple[Array, Array]:
-        """Looks at some pairs of triangle and strip."""
+        """Processes a group of pairs of triangle and strip."""
         start, hidden = state
         owner, number, valid = items.chunk(start, _ITEMS)
         strip = jnp.where(valid, take(first, owner) + number.astype(jnp.int32), 0)
@@ -340,7 +341,7 @@ def _test(
         pairs = Items.of(jnp.where(valid, length, 0), jnp.int64)
 
         def of_pairs(state: tuple[Array, Array]) -> tuple[Array, Array]:
-            """Tests some triangles against blocks of points."""
+            """Tests triangles against blocks of points."""
             start, hidden = state
             which, number, exists = pairs.chunk(start, _PAIRS)
             at = jnp.where(exists, take(block, which) + number.astype(jnp.int32), 0)
@@ -367,11 +368,11 @@ def _test(
 def _coordinates(
     textures: Textures, opposite: list[Array], triangle: Int[Array, " p"], heights: list[Array]
 ) -> tuple[Float[Array, "p b 2"], Float[Array, "p b"] | None]:
-    """The texture coordinates and, if corners have one, the mean alpha of the points of triangles that hide points with
-    these heights above the edges' planes.
+    """The texture coordinates of the triangles' points that hide points at these heights above the edges' planes, and
+    the mean alpha if corners have one.
 
-    Along a ray from the light, the three heights change by one factor. So at the triangle, they are in proportion to
-    the barycentric coordinates of the opposite corners, times these corners' heights.
+    Along a ray from the light, the three heights change by one common factor. At the triangle, they are therefore
+    proportional to the barycentric coordinates of the opposite corners, times these corners' heights.
     """
     pairs = zip(heights, opposite, strict=True)
     c, a, b = (safe_divide(height, take(whole, triangle)[:, None]) for height, whole in pairs)
@@ -392,7 +393,7 @@ def _height(plane: list[Array], x: Array, y: Array, z: Array) -> Array:
 
 
 def _boxes(places: list[Float[Array, "sb p"]], strips: Strips) -> tuple[list[Array], list[Array]]:
-    """The middle and half the size of the box of each strip's points, a (s,) for each axis."""
+    """The centre and half the size of the box of each strip's points, one (s,) for each axis."""
     by_strip = [place.reshape(strips.low.shape[0], -1) for place in places]
     ends = [(jnp.nanmin(at, axis=1), jnp.nanmax(at, axis=1)) for at in by_strip]
     return [(high + low) / 2 for low, high in ends], [(high - low) / 2 for low, high in ends]
@@ -406,7 +407,7 @@ def _reaches(plane: list[Array], boxes: tuple[list[Array], list[Array]], strip: 
 
 
 def _extent(outlines: Outlines, owner: Array, low: Array, high: Array) -> tuple[Array, Array]:
-    """From where to where along x triangles reach between y `low` and `high`, (n,) each."""
+    """The x range of each triangle between y `low` and `high`, (n,) each."""
     xs, ys = ([take(values, owner) for values in part] for part in (outlines.x, outlines.y))
     left, right, cut = (take(values, owner) for values in (outlines.left, outlines.right, outlines.cut))
     least, most = extent(xs, ys, low - 2 * _MARGIN, high + 2 * _MARGIN)

@@ -1,9 +1,8 @@
-"""Drawing the resident pages of a virtual map.
+"""Draws the resident pages of a virtual map.
 
 All faces are binned once for each level that has pages. A face is drawn once into every page that its pixel box
-touches: these pairs are numbered as the blocks of large triangles are, and a pair's page is looked up in a table.
-Corners, edge functions and depth planes come from the level's whole map, so that a page's pixels equal that map's to
-the bit.
+touches. These pairs are numbered like the blocks of large triangles, and a table gives the page of a pair. Corners,
+edge functions and depth planes come from the level's whole map, so a page's pixels equal that map's to the bit.
 """
 
 from typing import NamedTuple
@@ -24,19 +23,19 @@ from ._depth_test import DepthTest
 from ._items import Items
 from ._windows import PADDING, BufferDrawing, Chunk, DrawPass, Write
 
-# Where the pages that a face touches may be resident is known for so many cells a side.
+# The table of resident pages that a face may touch has this many cells per side.
 _CELLS = 64
 
 
 class Pairs(NamedTuple):
     """The pairs of faces and pages of a level.
 
-    - `left`, `bottom`, `columns`: (f,), of each face the first column and row of pages that its box touches, and how
-        many columns.
-    - `items`: the pairs of each face, in the order of the level's groups: pages that its box touches, resident or not,
-        or all resident pages of the level if these are fewer.
-    - `starts`, `counts`: (c,), where the pairs of each class begin, and how many they are.
-    - `first`, `resident`: the first layer of the level, and how many layers it has.
+    - `left`, `bottom`, `columns`: (f,), the first column and row of pages that each face's box touches, and the number
+      of columns.
+    - `items`: the pairs of each face, in the order of the level's groups: all pages that its box touches, resident or
+      not, or all resident pages of the level if they are fewer.
+    - `starts`, `counts`: (c,), the first pair of each class, and the number of its pairs.
+    - `first`, `resident`: the first layer of the level, and the number of its layers.
     """
 
     left: Int[Array, " f"]
@@ -84,7 +83,7 @@ class PagedDrawing(BufferDrawing):
         self.facing = facing
         self.test, self.polygon_offset = test, polygon_offset
         self.table = pages.table()
-        # Here, since buffers of faces are drawn in 64-bit mode.
+        # Computed here, because buffers of faces are drawn in 64-bit mode.
         levels = jnp.arange(pages.levels, dtype=jnp.int32)
         self.levels = lax.map(lambda level: _binned(clip, faces, pages, level, facing), levels)
 
@@ -135,7 +134,7 @@ class _LevelPass(DrawPass):
         left, bottom, columns = (take(values, face) for values in (pairs.left, pairs.bottom, pairs.columns))
         row, column = bottom + within // columns, left + within % columns
         page = Pages.number(self.pages.levels, self.level, row, column)
-        # Faces that touch more pages than are resident go through those.
+        # Faces that touch more pages than are resident loop over the resident pages.
         by_page = used & (count < pairs.resident)
         layer = jnp.where(by_page, take(self.table, jnp.where(by_page, page, 0)), pairs.first + within)
         return Chunk(face, used & (layer >= 0), jnp.where(used, jnp.maximum(layer, 0), 0))
@@ -159,7 +158,8 @@ class _LevelPass(DrawPass):
 
 
 def _binned(clip: ClipVertices, faces: Faces, pages: Pages, level: Int[Array, ""], facing: Facing) -> Level:
-    """The triangles in the whole map of a level, and the pairs with its pages; none if it has no pages."""
+    """The triangles in the whole map of a level, and the pairs with its pages. There are no pairs if it has no
+    pages."""
     bins = lambda: _binned_level(clip, faces, pages, level, facing)
     nothing = lambda: jax.tree.map(lambda array: jnp.zeros(array.shape, array.dtype), jax.eval_shape(bins))
     return lax.cond(jnp.any(_of_level(pages, level)), bins, nothing)
@@ -169,7 +169,8 @@ def _binned_level(clip: ClipVertices, faces: Faces, pages: Pages, level: Int[Arr
     mine = _of_level(pages, level)
     across, size = jnp.maximum(pages.across >> level, 1), pages.size(level)
     resident = jnp.sum(mine, dtype=jnp.int32)
-    # How many cells with resident pages are below and to the left of each corner of cells, of one or more pages each.
+    # At each corner of the grid of cells, the number of cells below and to the left with resident pages. A cell has one
+    # or more pages.
     most = min(pages.across, _CELLS)
     pages_to_cell = jnp.maximum(across // most, 1)
     corner = jnp.where(mine, pages.row // pages_to_cell + 1, most + 1), pages.column // pages_to_cell + 1
@@ -177,7 +178,7 @@ def _binned_level(clip: ClipVertices, faces: Faces, pages: Pages, level: Int[Arr
     within = jax.vmap(sums_up_to)(jax.vmap(sums_up_to, 1, 1)(within)).reshape(-1)
 
     def touched(box: Box) -> Box:
-        """The columns and rows of pages whose layers a box touches. Layers at the map's border reach further in."""
+        """The columns and rows of pages whose layers a box touches. Layers at the map's border extend further."""
         reaches = lambda page: jnp.clip(page, 0, across - 1)
         first = lambda low: reaches(jnp.where(low < pages.side, 0, (low - pages.gutter) // pages.page))
         last = lambda high: reaches(
@@ -192,7 +193,7 @@ def _binned_level(clip: ClipVertices, faces: Faces, pages: Pages, level: Int[Arr
     )
     up_to = lambda row, column: take(within, row * (most + 1) + column)
     touches = up_to(last_y, last_x) - up_to(first_y, last_x) - up_to(last_y, first_x) + up_to(first_y, first_x) > 0
-    # What has to be clipped may lie in any page.
+    # A triangle that must be clipped may lie in any page.
     clipped = of_class == CLIPPED
     groups = group(jnp.where(clipped | touches, of_class, NOTHING), CLASSES)
     columns = jnp.maximum(right - left + 1, 1)
@@ -209,5 +210,5 @@ def _binned_level(clip: ClipVertices, faces: Faces, pages: Pages, level: Int[Arr
 
 
 def _of_level(pages: Pages, level: Int[Array, ""]) -> Bool[Array, " l"]:
-    """Which layers have a page of this level."""
+    """The layers that have a page of this level."""
     return (pages.level == level) & (jnp.arange(pages.level.shape[0]) < pages.count)

@@ -1,4 +1,4 @@
-"""The rasterizer: which triangle each pixel sees."""
+"""The rasterizer: the visible triangle of each pixel."""
 
 import dataclasses
 from functools import partial
@@ -28,16 +28,16 @@ from ._page_pass import PagedDrawing
 from ._windows import Drawing, DrawPass, least_depth, least_depth_and_face
 
 NO_FACE = -1
-"""What a pixel that sees nothing holds in a face map."""
+"""The value in a face map for a pixel that sees nothing."""
 
 
 class Fragments(eqx.Module):
-    """What each pixel sees; row 0 is the bottom row. Neither field carries a gradient: `interpolate` does.
+    """The visible surface of each pixel. Row 0 is the bottom row. Neither field carries a gradient; `interpolate` does.
 
-    - `face`: (h, w), index of the nearest face, `NO_FACE` where there is no face.
-    - `depth`: (h, w), its window depth as the depth buffer stores it; 1 where there is no face.
+    - `face`: (h, w), index of the nearest face, or `NO_FACE` if there is no face.
+    - `depth`: (h, w), the window depth as the depth buffer stores it; 1 if there is no face.
 
-    For several views, (b, h, w).
+    For several views, the shapes are (b, h, w).
     """
 
     face: Int[Array, "*b h w"]
@@ -45,16 +45,16 @@ class Fragments(eqx.Module):
 
 
 def padded(clip: Float[Array, "*b v 4"], faces: Faces) -> tuple[Any, Any]:
-    """The triangles as `Mesh.padded` fills them up, so that meshes of like size share what is compiled.
+    """The triangles, padded as by `Mesh.padded`, so that meshes of similar size share compiled programs.
 
-    **Returns:** both arrays. On CPUs they are on the host where they had to be padded.
+    **Returns:** both arrays. On CPUs, padded arrays are NumPy arrays.
     """
     if isinstance(clip, Tracer) or isinstance(faces, Tracer):
         return clip, faces
     size, vertices = shared_mesh_size(faces.shape[0], clip.shape[-2])
     if (size, vertices) == (faces.shape[0], clip.shape[-2]):
         return clip, faces
-    # In NumPy on CPUs, whose copies need no compiling, and which programs take as they are.
+    # NumPy copies on CPUs need no compilation, and compiled programs accept them directly.
     return padded_to(clip, vertices, axis=-2), padded_to(faces, size)
 
 
@@ -74,28 +74,28 @@ def rasterize(
 ) -> Fragments:
     """The nearest face at every pixel centre, by OpenGL's rules.
 
-    Triangles snap to 1/256 pixel, shared edges are covered exactly once, and geometry in front of the near plane or
-    beyond the far plane is cut away.
+    Triangles snap to 1/256 pixel, and each shared edge is covered exactly once. Geometry in front of the near plane or
+    beyond the far plane is clipped.
 
     **Arguments:**
 
-    - `clip`: (v, 4), vertices in OpenGL clip space; `w` may have either sign. With a leading axis, (b, v, 4), several
-        views are drawn one after the other, and every result has that axis too.
-    - `faces`: (f, 3), indices into `clip`; anticlockwise in the window is a front face.
+    - `clip`: (v, 4), vertices in OpenGL clip space; `w` may have either sign. With a leading axis, (b, v, 4), the views
+      are drawn one after another, and every result also has that axis.
+    - `faces`: (f, 3), indices into `clip`. Front faces are anticlockwise in the window.
     - `resolution`: (height, width) in pixels, each at most 8192.
     - `cull`: the faces that are not drawn.
-    - `depth_test`: format and comparison of the depth buffer; float32 and `"less"` if left out.
+    - `depth_test`: format and comparison of the depth buffer; by default float32 and `"less"`.
     - `polygon_offset`: (factor, units) of OpenGL's polygon offset, or `None`.
-    - `behind`: (h, w), a face map: at each pixel, this face is skipped. Given the result of a first call, the
-        second-nearest layer is drawn.
-    - `pages`: draws these pages of a virtual map instead of an image, each into a layer of its own: results are (l, h,
-        w). `clip` is one view, of the virtual map, and `resolution` is the size of a layer.
+    - `behind`: (h, w), a face map with the face to skip at each pixel. With the result of a first call, this draws the
+      second-nearest layer.
+    - `pages`: draws these pages of a virtual map instead of an image. Each page has its own layer, and results have
+      shape (l, h, w). `clip` is the single view of the virtual map, and `resolution` is the size of a layer.
     - `viewports`: (2,), or (b, 2) for several views: (height, width) in pixels of the lower left part of the image into
-        which each view is drawn. Pixels beyond see nothing.
+      which each view is drawn. Pixels outside that part see nothing.
     - `buffer`: (height, width) in pixels, at least `resolution`: draws into a part of an image of this size. Outside of
-        a trace, drawings with the same buffer share compiled programs. Under a trace, and with pages, `buffer` is
-        ignored.
-    - `alpha_test`: `Mesh.alpha_test`: textures of the faces, whose cutoffs cut out pixels, as by `discard`.
+      `jit`, drawings with the same buffer share compiled programs. Under `jit`, and with pages, `buffer` is ignored.
+    - `alpha_test`: `Mesh.alpha_test`: textures of the faces. Their cutoffs cut out pixels, like `discard` in a fragment
+      shader.
 
     **Raises** `ValueError` for a resolution, buffer or depth test out of range.
     """
@@ -119,7 +119,7 @@ def rasterize_depth(
 
 
 class _Scene(NamedTuple):
-    """What one view is drawn of: `clip` (v, 4) and the fields of `_Request`; textures of all faces."""
+    """The input of one view: `clip` (v, 4), the fields of `_Request`, and textures of all faces."""
 
     clip: Any
     faces: Any
@@ -128,16 +128,16 @@ class _Scene(NamedTuple):
     textures: Textures | None
 
 
-# Smaller images are drawn into buffers of this side.
+# Smaller images are drawn into buffers with this side.
 _SHARED_SIDE = 256
-# Pixels of several views. More are put together when they are ready, since XLA then copies them in this thread. In its
-# own threads, the C library takes arrays of more than 64 MiB from fresh pages each time.
+# In pixels of several views. Larger results are combined when they are ready, because XLA then copies them in this
+# thread. In XLA's threads, the C library takes fresh pages for arrays of more than 64 MiB each time.
 _MAX_WAITING = 1 << 23
 
 
 @dataclasses.dataclass(frozen=True)
 class _Request:
-    """The arguments of `rasterize`, and whether faces are found, too."""
+    """The arguments of `rasterize`, and whether faces are needed."""
 
     clip: Float[Array, "*b v 4"]
     faces: Faces
@@ -177,12 +177,13 @@ class _Request:
 
     @property
     def _scene(self) -> _Scene:
-        """What all views are drawn of, without derivatives. The search is integer work and single precision whatever
-        the precision of what is interpolated later."""
+        """The inputs of all views, without derivatives. The search uses integers and single precision, whatever the
+        precision of the later interpolation."""
         single = lambda leaf: lax.stop_gradient(leaf.astype(jnp.float32)) if eqx.is_inexact_array(leaf) else leaf
         clip, offset, textures = self.clip, self.polygon_offset, self.alpha_test
         if isinstance(clip, Tracer):
-            # Outside of `jit`, this gives the values of what is traced for its derivative, as by `jax.jvp`.
+            # Outside of `jit`, this gives the primal values of arrays that are traced for derivatives, for example by
+            # `jax.jvp`.
             clip = lax.stop_gradient(clip)
         clip, faces = padded(clip if clip.dtype == jnp.float32 else clip.astype(jnp.float32), self.faces)
         if textures is not None and textures.index.shape != faces.shape[:1]:
@@ -191,7 +192,7 @@ class _Request:
         return _Scene(clip, faces, offset, self.behind, jax.tree.map(single, textures))
 
     def _in_trace(self, scene: _Scene, test: DepthTest) -> Any:
-        """In a trace, a viewport and culling that are known shorten the program."""
+        """Draws in a trace. A known viewport and known culling shorten the program."""
 
         def draw(scene: _Scene, viewport: Any) -> Any:
             viewport = self.resolution if viewport is None else viewport
@@ -204,12 +205,12 @@ class _Request:
             clip, behind, viewport = each
             return draw(scene._replace(clip=clip, behind=behind), viewport)
 
-        # One view after the other, since each has its own number of triangles to draw.
+        # One view after another, because each has a different number of triangles to draw.
         return lax.map(view, (scene.clip, scene.behind, self.viewports))
 
     def _apart(self, scene: _Scene, test: DepthTest) -> Any:
-        """Draws outside of a trace, so that what is compiled is shared: by all small images, by one view and several,
-        and whatever is culled."""
+        """Draws outside of a trace. All small images share a program, whether there is one view or several, and
+        whatever is culled."""
         height, width = self.resolution
         buffer = self.buffer or self.resolution
         if max(buffer) <= _SHARED_SIDE:
@@ -220,11 +221,11 @@ class _Request:
             behind = jnp.pad(behind, rest, constant_values=NO_FACE)
 
         def view(clip: Any, behind: Array | None, viewport: Any) -> Any:
-            # In one array and in NumPy, since to make one on the device takes longer than a small image.
+            # One NumPy array, because creating one on the device takes longer than drawing a small image.
             numbers = np.array([*viewport, *FACING[self.cull]], np.int32)
             return _shared(scene._replace(clip=clip, behind=behind), numbers, buffer, test, self.with_face)
 
-        # Nothing here depends on the default precision: programs are shared by both.
+        # Nothing here depends on the default precision, so both precisions share programs.
         with jax.enable_x64(False):
             viewports = self.resolution if self.viewports is None else np.asarray(self.viewports)
             if scene.clip.ndim == 2:
@@ -239,7 +240,7 @@ class _Request:
             return _together(views, height, width)
 
 
-# Each is one program, where every index would be another.
+# Each of these is one program. Plain indexing would compile a program for every index.
 @jax.jit
 def _apart(values: Array) -> list[Array]:
     return list(values)
@@ -253,7 +254,7 @@ def _cut(drawn: Fragments | Array, height: int, width: int) -> Any:
 
 @partial(jax.jit, static_argnames=("height", "width"))
 def _together(views: list[Fragments | Array], height: int, width: int) -> Any:
-    """That part of several views, with an axis for these."""
+    """The lower left part of several views, with an axis for the views."""
     return _cut(jax.tree.map(lambda *images: jnp.stack(images), *views), height, width)
 
 

@@ -14,7 +14,7 @@ class Segments(eqx.Module):
 
     - `start`, `end`: (n, 2), in pixels; `depth`: (n, 2), window depth at both.
     - `used`: (n,), whether a part of the edge lies in the window.
-    - `counts`: (n, 2), how many vertical and horizontal lines of the pixel grid each crosses.
+    - `counts`: (n, 2), the numbers of vertical and horizontal grid lines that each edge crosses.
     """
 
     start: Float[Array, "n 2"]
@@ -25,15 +25,16 @@ class Segments(eqx.Module):
 
     @classmethod
     def of(cls, ends: Float[Array, "n 2 4"], used: Bool[Array, " n"], resolution: Resolution) -> "Segments":
-        """The segments between the `ends` of edges, in clip coordinates; those that are not `used` have no length."""
+        """The segments between the `ends` of edges, in clip coordinates. Segments that are not `used` have no
+        length."""
         first, last = _clip(lax.stop_gradient(ends), resolution)
         used = used & (first < last)
         edge = ends[:, 1] - ends[:, 0]
         height, width = resolution
 
         def place(fraction: Float[Array, " n"]) -> tuple[Float[Array, "n 2"], Float[Array, " n"]]:
-            """Where edges are in the window after this fraction of their length, and the window depth there."""
-            # One coordinate at a time: in reverse mode, XLA is slow to add up such short axes.
+            """The window positions of edges after this fraction of their length, and the window depth there."""
+            # One coordinate at a time, because XLA is slow to add up such short axes in reverse mode.
             x, y, z, w = jnp.moveaxis(ends[:, 0] + fraction[:, None] * edge, -1, 0)
             x, y, z = (of_clip / jnp.where(used, w, 1) * 0.5 + 0.5 for of_clip in (x, y, z))
             return jnp.stack([x * width, y * height], axis=-1), z

@@ -1,8 +1,8 @@
-"""Silhouettes: the edges of a mesh's outline, seen from a light.
+"""Silhouettes: the outline edges of a mesh, seen from a light.
 
-Every face has an orientation: +1 if it counts as wound, -1 if it counts flipped, 0 if it does not count. The outline is
-the sum over these faces of their directed sides: sides of opposite direction along an edge cancel. The multiplicity of
-an edge is what remains. It is at most 2 on a two-manifold, and can be larger where more faces meet.
+Every face has an orientation: +1 if it counts as wound, -1 if it counts flipped, and 0 if it does not count. The
+outline is the sum of these faces' directed sides. Sides of opposite direction along an edge cancel, and the remainder
+is the multiplicity of the edge. It is at most 2 on a two-manifold, and can be larger where more faces meet.
 """
 
 import equinox as eqx
@@ -14,11 +14,11 @@ from ..geometry import AbstractLight, Edges, Mesh
 
 
 class Silhouettes(eqx.Module):
-    """Edges and their multiplicities in the outline of the faces that count.
+    """Edges, and their multiplicities in the outline of the faces that count.
 
-    - `vertices`: (e, 2), the ends of each.
+    - `vertices`: (e, 2), the ends of each edge.
     - `multiplicity`: (e,), the number of oriented faces that traverse the edge from its first end to its second, minus
-        the number that traverse it backwards; 0 if it is not a silhouette.
+      the number that traverse it backwards; 0 if it is not a silhouette.
     """
 
     vertices: Int[Array, "e 2"]
@@ -27,7 +27,7 @@ class Silhouettes(eqx.Module):
 
 @eqx.filter_jit
 def light_sides(mesh: Mesh, light: AbstractLight) -> Int[Array, " f"]:
-    """Which side of each face the light sees: +1 its front, -1 its back, 0 if it sees the face edge-on.
+    """The side of each face that the light sees: +1 for the front, -1 for the back, and 0 if it sees the face edge-on.
 
     It sees the front if ((a + b + c) / 3 - L) · ((b - a) x (c - b)) is negative.
     """
@@ -38,14 +38,14 @@ def light_sides(mesh: Mesh, light: AbstractLight) -> Int[Array, " f"]:
 
 @eqx.filter_jit
 def silhouettes_by_adjacency(edges: Edges, orientation: Int[Array, " f"]) -> Silhouettes:
-    """The silhouettes of faces with `orientation` (f,), from a table of the faces that meet in each edge.
+    """The silhouettes of faces with `orientation` (f,), from a table of the faces at each edge.
 
     **Arguments:**
 
-    - `edges`: of the mesh.
+    - `edges`: the edges of the mesh.
     - `orientation`: (f,), +1, -1 or 0.
 
-    **Returns:** a multiplicity for each row of `edges`. An edge of three or more faces has several rows, whose
+    **Returns:** a multiplicity for each row of `edges`. An edge with three or more faces has several rows. Their
     multiplicities add up.
     """
     return Silhouettes(edges.vertices, jnp.sum(edges.directions * orientation[edges.faces], axis=1))

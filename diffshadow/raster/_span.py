@@ -1,4 +1,4 @@
-"""How far triangles reach to the left and to the right between two heights."""
+"""The horizontal extent of triangles between two heights."""
 
 import functools
 from collections.abc import Sequence
@@ -12,20 +12,20 @@ from ..settings.quantities import MAX_VIRTUAL
 from ._bins import Corners
 from ._fixed import SUBPIXEL_BITS, SUBPIXELS, first_centre, last_centre
 
-# A span is this much wider on both sides than it is found to be, in sub-pixels: more than what rounding can lose.
+# Spans are widened on both sides by this margin, in sub-pixels, which exceeds all rounding errors.
 _SLACK = SUBPIXELS // 8
 
 
 def extent(
     x: Sequence[Float[Array, " n"]], y: Sequence[Float[Array, " n"]], low: Float[Array, " n"], high: Float[Array, " n"]
 ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-    """The least and the greatest x of triangles where y is from `low` to `high`; both lie on edges.
+    """The minimum and maximum x of triangles for y from `low` to `high`, from the triangles' edges.
 
-    Infinity and minus infinity where there are none.
+    Infinity and minus infinity if there is no such part.
 
     **Arguments:**
 
-    - `x`, `y`: of the three corners, (n,) each.
+    - `x`, `y`: the coordinates of the three corners, (n,) each.
     """
     (x0, y0), (x1, y1) = ([jnp.stack([at[k] for k in ks]) for at in (x, y)] for ks in ((0, 1, 2), (1, 2, 0)))
     meets = (jnp.minimum(y0, y1) <= high) & (jnp.maximum(y0, y1) >= low)
@@ -34,7 +34,7 @@ def extent(
     along = jnp.clip((jnp.stack([low, high]) - of_edge(y0)) * of_edge(inverse), 0, 1)
     at = lax.optimization_barrier(of_edge(x0) + along * of_edge(x1 - x0))
     left, right = (jnp.where(of_edge(meets), at, beyond).reshape(6, -1) for beyond in (jnp.inf, -jnp.inf))
-    # Written out: reductions are kernels of their own.
+    # Written out, because each reduction is a separate kernel.
     return functools.reduce(jnp.minimum, left), functools.reduce(jnp.maximum, right)
 
 
@@ -43,7 +43,7 @@ def span(
 ) -> tuple[Int[Array, " n"], Int[Array, " n"]]:
     """The first and last column of pixels that triangles may cover in the rows from `bottom` to `top`.
 
-    The last column is before the first where there are none.
+    The last column is before the first if there are none.
     """
     x, y = ([at.astype(jnp.float32) for at in along] for along in (corners.x, corners.y))
     low, high = (((row << SUBPIXEL_BITS) + SUBPIXELS // 2).astype(jnp.float32) for row in (bottom, top))

@@ -1,10 +1,10 @@
-"""Search structure for the points of a light's view.
+"""A search structure for the points of a light's view.
 
-It finds the points in a rectangle of the view. The n points, with x and y from 0 to 1, are sorted by y and cut into
-`s` horizontal strips of equally many points. Each strip is sorted by x and cut into `b` blocks of 16 points; b is about
-√n / 16, and filling and points that are not valid come last. Each strip stores its range of y, (s,), and each block its
-range of x, (s·b,). However unevenly points are spread, all blocks but the last ones are full. A grid would have
-empty and overfull cells.
+It finds the points in a rectangle of the view. The n points, with x and y from 0 to 1, are sorted by y and cut into `s`
+horizontal strips with equal numbers of points. Each strip is sorted by x and cut into `b` blocks of 16 points, where b
+is about √n / 16. Padding and invalid points come last. Each strip stores its range of y, (s,), and each block its range
+of x, (s·b,). All blocks except the last ones are full, even if points are spread unevenly. A grid would have empty and
+overfull cells.
 """
 
 import math
@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._arithmetic import take
 
 BLOCK = 16
-"""Points in a block."""
+"""The number of points in a block."""
 _INDEX_BITS = 31
 _KEY_BITS = 31
 
@@ -26,9 +26,9 @@ _KEY_BITS = 31
 class Strips(NamedTuple):
     """Points in strips of blocks: `s` strips of `b` blocks of `p` points.
 
-    - `order`: (s·b, p), the index of each point among all n; n for filling.
-    - `low`, `high`: (s,), the least and greatest y in each strip; infinity in strips without points.
-    - `left`, `right`: (s·b,), the least and greatest x in each block; infinity in blocks without points.
+    - `order`: (s·b, p), the index of each point among all n; n for padding.
+    - `low`, `high`: (s,), the minimum and maximum y in each strip; infinity in strips without points.
+    - `left`, `right`: (s·b,), the minimum and maximum x in each block; infinity in blocks without points.
     """
 
     order: Int[Array, "sb p"]
@@ -43,7 +43,8 @@ class Strips(NamedTuple):
         return self.left.shape[0] // self.low.shape[0]
 
     def strips_between(self, low: Float[Array, " n"], high: Float[Array, " n"]) -> tuple[Array, Array]:
-        """The first strip that may hold points with y from `low` to `high`, and how many strips do, (n,) each."""
+        """The first strip that may have points with y from `low` to `high`, and the number of such strips, (n,)
+        each."""
         first = jnp.searchsorted(self.high, low, side="left").astype(jnp.int32)
         end = jnp.searchsorted(self.low, high, side="right").astype(jnp.int32)
         return first, jnp.where(low <= high, jnp.maximum(end - first, 0), 0)
@@ -51,8 +52,8 @@ class Strips(NamedTuple):
     def blocks_between(
         self, strip: Int[Array, " n"], left: Float[Array, " n"], right: Float[Array, " n"]
     ) -> tuple[Array, Array]:
-        """The first block of each `strip` (n,) that may hold points with x from `left` to `right`, counted among all
-        blocks, and how many blocks of the strip do, (n,) each."""
+        """The first block of each `strip` (n,) that may have points with x from `left` to `right`, as an index among
+        all blocks, and the number of such blocks in the strip, (n,) each."""
         begin = strip * self.blocks
         first = _count(lambda block: take(self.right, begin + block) < left, self.blocks)
         end = _count(lambda block: take(self.left, begin + block) <= right, self.blocks)
@@ -60,7 +61,7 @@ class Strips(NamedTuple):
 
 
 def in_strips(x: Float[Array, " n"], y: Float[Array, " n"], valid: Bool[Array, " n"]) -> Strips:
-    """The points at `x` and `y` (n,), both from 0 to 1, that are `valid` (n,); for use in 64-bit mode."""
+    """The points at `x` and `y` (n,), both from 0 to 1, where `valid` (n,) is true. For use in 64-bit mode."""
     n = x.shape[0]
     blocks = max(1, round(math.sqrt(n) / BLOCK))
     strips = -(-n // (blocks * BLOCK))
@@ -71,7 +72,7 @@ def in_strips(x: Float[Array, " n"], y: Float[Array, " n"], valid: Bool[Array, "
     x, y = take(x, order).reshape(-1, BLOCK), take(y, order).reshape(strips, -1)
 
     def greatest(at: Float[Array, "k m"]) -> Float[Array, " k"]:
-        """Of each row, without what is not valid; infinity if nothing is."""
+        """The maximum of each row's valid values, or infinity if there is none."""
         most = jnp.max(jnp.where(jnp.isinf(at), -jnp.inf, at), axis=1)
         return jnp.where(jnp.isinf(most), jnp.inf, most)
 
@@ -81,14 +82,15 @@ def in_strips(x: Float[Array, " n"], y: Float[Array, " n"], valid: Bool[Array, "
 
 def _sorted(at: Float[Array, "*s n"], index: Int[Array, "*s n"]) -> Int[Array, "*s n"]:
     """`index` in the order of `at`, along the last axis."""
-    # One integer each, which sorts three times as fast as a pair of a float and an index.
+    # One integer for each point sorts three times as fast as a pair of a float and an index.
     steps = jnp.where(jnp.isfinite(at), jnp.clip(at, 0, 1) * (2**_KEY_BITS - 1), 2**_KEY_BITS).astype(jnp.int64)
     keys = lax.sort(steps << _INDEX_BITS | index, is_stable=False)
     return keys & (1 << _INDEX_BITS) - 1
 
 
 def _count(holds: Callable[[Array | int], Array], most: int) -> Int[Array, " n"]:
-    """How many of 0 to `most - 1` are such that `holds`, which is true up to a number and false beyond it."""
+    """The number of values from 0 to `most - 1` that satisfy `holds`, which is true up to some value and false beyond
+    it."""
     low = jnp.zeros_like(holds(0), jnp.int32)
 
     def halve(_, bounds):

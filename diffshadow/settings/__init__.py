@@ -1,4 +1,4 @@
-"""Settings: each default, limit, unit, choice and meaning, stated once.
+"""Settings: each default, limit, unit, choice and meaning, defined once.
 
 A class of settings describes the settings of one technique, filter, light or solver. Its annotations are types with
 marks, and its values are the defaults:

@@ -1,4 +1,4 @@
-"""What a class of settings is made of: types, marks and defaults."""
+"""The parts of a class of settings: types, marks and defaults."""
 
 import functools
 import itertools
@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal, Union, get_args, get_origi
 from annotated_types import Ge, GroupedMetadata, Gt, Le, Len, Lt
 
 MISSING: Any = object()
-"""The default of a setting that must be given."""
+"""The default of a required setting."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class Limits(GroupedMetadata):
     below_high: bool = False
 
     def __iter__(self) -> Iterator[Any]:
-        """The same as pydantic reads them."""
+        """The limits as pydantic reads them."""
         if self.low is not None:
             yield Gt(self.low) if self.above_low else Ge(self.low)
         if self.high is not None:
@@ -55,7 +55,7 @@ class Limits(GroupedMetadata):
 
     @property
     def words(self) -> str:
-        """Both in words."""
+        """Both limits in words."""
         return " and ".join(filter(None, (self.least, self.most)))
 
     def undercut_by(self, value: Any) -> bool:
@@ -76,7 +76,7 @@ class Unit:
 
 @dataclass(frozen=True)
 class Form:
-    """How to write a value that is not a plain number, text or choice; `repeats`: whether one number may replace
+    """How to write a value that is not a plain number, text or choice. `repeats` says whether one number may replace
     all."""
 
     words: str
@@ -98,7 +98,7 @@ class Fitted:
 
 @dataclass(frozen=True)
 class At:
-    """Dotted paths of a setting in its module, if they differ from its name; `At()` if the module has no such field."""
+    """Dotted paths of a setting in its module, if they differ from its name. `At()` if the module has no such field."""
 
     paths: tuple[str, ...]
 
@@ -108,15 +108,14 @@ class At:
 
 @dataclass(frozen=True)
 class LongerThan:
-    """The least length of a vector."""
+    """The minimum length of a vector."""
 
     length: float
 
 
 @dataclass(frozen=True)
 class InputFile:
-    """Marks the path of a file that a run reads. `builtin`: the beginning of paths that do not name a file, if there
-    are any."""
+    """Marks the path of a file that a run reads. `builtin`: the prefix of paths that do not name a file, or empty."""
 
     builtin: str | None = None
 
@@ -131,8 +130,8 @@ class Setting:
     """One setting: its type, default, limits, unit and meaning.
 
     - `kind`: its type without marks; `marks`: limits, its unit and so on. Plain text among the marks is its meaning.
-    - `default`: `MISSING` if it must be given.
-    - `optional`: whether `None` is allowed.
+    - `default`: `MISSING` if it is required.
+    - `optional`: whether `None` is valid.
     """
 
     kind: Any
@@ -158,7 +157,7 @@ class Setting:
 
     @property
     def meaning(self) -> str:
-        """What it does; empty if nothing says so."""
+        """Its description; may be empty."""
         return next((mark for mark in self.marks if isinstance(mark, str)), "")
 
     @property
@@ -173,17 +172,17 @@ class Setting:
 
     @property
     def lengths(self) -> Len:
-        """How many entries a list may have."""
+        """The number of entries that a list may have."""
         return next((mark for mark in self.marks if isinstance(mark, Len)), Len())
 
     @property
     def choices(self) -> tuple[Any, ...]:
-        """What to choose from; empty if it is not a choice."""
+        """Its choices; empty if it is not a choice."""
         return get_args(self.kind) if get_origin(self.kind) is Literal else ()
 
     @property
     def alternatives(self) -> tuple["Setting", ...]:
-        """The kinds of value that it may have, where there are several."""
+        """The kinds of value that it may have, if there are several."""
         return tuple(Setting.of(kind, marks=self.marks) for kind in get_args(self.kind)) if is_union(self.kind) else ()
 
     def entry(self, index: int) -> "Setting":
@@ -196,7 +195,7 @@ class Setting:
         return next((mark.paths for mark in self.marks if isinstance(mark, At)), () if key == "type" else (key,))
 
     def expected(self, unit: str | None = None) -> str:
-        """The allowed values, in plain words; `unit` replaces the setting's own unit."""
+        """The valid values, in plain words. `unit` replaces the setting's own unit."""
         unit = self.unit if unit is None else unit
         unit = f", in {unit}" if unit else ""
         if self.form is not None:
@@ -208,16 +207,16 @@ class Setting:
 
 
 class Settings:
-    """The settings of one technique, filter, light or solver. Each annotation is a type with marks, and each value a
+    """The settings of one technique, filter, light or solver. Each annotation is a type with marks, and each value is a
     default.
 
-    `ascending` names pairs of keys. The first must be less than the second, or at most equal to it if the pair
-    ends in `True`.
+    `ascending` names pairs of keys. The first must be less than the second, or at most equal to it if the pair ends in
+    `True`.
     """
 
     ascending: ClassVar[tuple[tuple[str, str] | tuple[str, str, bool], ...]] = ()
     plugin: ClassVar[Any] = None
-    """What it describes, if that is a user's."""
+    """The user's class that it describes, or `None`."""
 
     @classmethod
     @functools.cache

@@ -32,7 +32,7 @@ class Bias(Settings):
         "or terms",
     ] = 0.0
     slope_profile: Annotated[
-        SlopeProfile, At("slope.profile"), "how the slope bias grows with the angle to the light"
+        SlopeProfile, At("slope.profile"), "growth of the slope bias with the angle to the light"
     ] = "tangent"
     slope_least: Annotated[
         Texels | None, Fitted(), At("slope.least"), "least slope bias, in texels; default: no bound"
@@ -53,9 +53,9 @@ class Bias(Settings):
         "and a slope, a plane or terms",
     ] = 0.0
     normal_offset_profile: Annotated[
-        OffsetProfile, At("normal_offset.profile"), "how the normal offset grows with the angle to the light"
+        OffsetProfile, At("normal_offset.profile"), "growth of the normal offset with the angle to the light"
     ] = "sine"
-    # Beyond it the bias of a cascade is another bias.
+    # A larger factor would make a different bias for the cascade.
     factors: Annotated[
         tuple[Annotated[float, Limits(0, 1000)], ...] | None,
         Len(1, MAX_LAYERS),
@@ -97,12 +97,12 @@ class ReceiverPlane(Plane):
     deepening: Annotated[
         Texels | None,
         Fitted(),
-        "how much deeper than the receiver a tap may compare, in texels; default: no limit",
+        "greatest distance behind the receiver at which a tap may compare, in texels; default: no limit",
     ] = None
 
 
 class AdaptiveBias(Plane):
-    """Moves the receiver to the depth of its plane at the texel's centre; for nearest look-ups."""
+    """Moves the receiver to the depth of its plane at the texel's centre. For nearest look-ups."""
 
     type: Literal["adaptive"] = "adaptive"
     epsilon: Annotated[Texels, Fitted(), "additional bias, in texels"] = 0.0
@@ -114,7 +114,8 @@ Number = Annotated[float, Limits(-MAX_FACTOR, MAX_FACTOR)]
 
 
 class Terms(Settings):
-    """The weights of a bias that is linear in what a shader knows about a receiver; a sum below 0 counts as 0."""
+    """The weights of a bias that is linear in values that a shader knows about a receiver. A sum below 0 counts as
+    0."""
 
     one: Annotated[_Weight, "bias in texels everywhere; default: no such term"] = None
     slope: Annotated[_Weight, "bias in texels per unit of the receiver's slope; default: no such term"] = None
@@ -131,5 +132,5 @@ class Terms(Settings):
     ] = None
     blocker_distance: Annotated[
         _Weight,
-        "bias in texels per texel that the map's depth lies in front of the receiver; default: no such term",
+        "bias in texels per texel of distance from the map's depth to the receiver behind it; default: no such term",
     ] = None

@@ -1,4 +1,4 @@
-"""Settings of the techniques that draw shadows as real-time engines do, in the engines' own names and units."""
+"""Settings of the techniques that draw the shadows of real-time engines, with the engines' names and units."""
 
 from typing import Annotated, ClassVar, Literal
 
@@ -8,13 +8,13 @@ from .scene import LightKind
 from .techniques import Technique
 
 Side = Literal["front", "back", "double"]
-"""Which faces of a mesh an engine draws."""
+"""The faces of a mesh that an engine draws."""
 Sides = Side | tuple[Side, ...]
 """One side for all meshes, or one for each."""
 ShadowSides = Sides | tuple[Side | None, ...]
-"""One side for all meshes, or one for each; `None` for the engine's choice."""
+"""One side for all meshes, or one for each. `None` for the engine's choice."""
 OTHER_SIDE: dict[Side, Side] = {"front": "back", "back": "front", "double": "double"}
-"""The side that three.js draws into shadow maps for each side of a material: the renderer's own table."""
+"""The side that three.js draws into shadow maps for each side of a material, from the renderer's table."""
 ShadowType = Literal["BasicShadowMap", "PCFShadowMap", "PCFSoftShadowMap", "VSMShadowMap"]
 BabylonFilter = Literal[
     "NONE",
@@ -51,11 +51,11 @@ ENGINES: dict[EngineName, str] = {
     "playcanvas": "PlayCanvas",
     "godot_compatibility": "Godot 4 Compatibility",
 }
-"""The engines, and how sentences name them."""
+"""The engines' names in sentences."""
 POLYGON_OFFSETS: dict[EngineName, tuple[float, float]] = {"filament": (2.0, 0.5), "unity": (2.5, 1.0)}
-"""The factor and the units of the polygon offset with which engines draw their maps beside the bias of a light."""
+"""The factor and the units of the polygon offset that engines add to the bias of a light when they draw their maps."""
 ImportedTechnique = Literal["three.js", "shadow_map", "playcanvas", "bevy", "godot_compatibility"]
-"""The technique of a configuration that is made of an engine's scene."""
+"""The technique for a configuration from an engine's scene."""
 
 _Sides = Annotated[Sides, Form("front, back or double, or a list with one of them for each mesh")]
 _ShadowSides = Annotated[ShadowSides, Form("front, back or double, or a list with one of them or null for each mesh")]
@@ -65,16 +65,16 @@ _Length = Annotated[float, Limits(-FARTHEST, FARTHEST), Unit("world units")]
 
 
 class Engine(Technique):
-    """The shadows of an engine. Its map has the resolution of the section shadow_map; filter, bias and compare are the
+    """The shadows of an engine. Its map has the resolution of the section shadow_map. Filter, bias and compare are the
     engine's own.
 
-    - `biases`: the keys of its depth bias and its normal bias; `bias_names`: the engine's names of these.
+    - `biases`: the keys of its depth bias and its normal bias; `bias_names`: the engine's names for them.
     - `follows_view`: whether the cameras of a directional light follow the view, so that texels have no fixed width.
-    - `filter_key`: the key that chooses its filter; `filters`: the filters that are fitted, for directional and spot
-        lights and for point lights.
+    - `filter_key`: the key of its filter; `filters`: the filters that are fitted, for directional and spot lights and
+      for point lights.
     - `kinds`: the kinds of lights that it draws.
     - `has_square_maps`: whether the maps of all lights must be square.
-    - `default_size`: the default size of its maps, texels along a side.
+    - `default_size`: the default side of its maps, in texels.
     - `suffix`: suffix of a file in the language of the engine's users.
     """
 
@@ -92,17 +92,17 @@ class Engine(Technique):
     subpixels: Annotated[
         int,
         Limits(1, 1 << 16),
-        "steps to a texel at which the engine's rasterizer places vertices: 256 on most graphics hardware, 16 in "
+        "steps per texel at which the engine's rasterizer places vertices: 256 on most graphics hardware, 16 in "
         "Chromium without it",
     ] = 256
 
 
 class ThreeJs(Engine):
-    """The shadows of three.js r187, by the names, units and defaults of light.shadow and renderer.shadowMap."""
+    """The shadows of three.js r187, with the names, units and defaults of light.shadow and renderer.shadowMap."""
 
     filter_key = "shadow_type"
     filters = ("BasicShadowMap", "PCFShadowMap", "VSMShadowMap")
-    # The engine draws no VSM of a point light.
+    # The engine does not draw VSM for a point light.
     point_filters = ("BasicShadowMap", "PCFShadowMap")
     default_size = 512
 
@@ -127,12 +127,12 @@ class ThreeJs(Engine):
 
 
 class BabylonJs(Engine):
-    """The shadows of Babylon.js 9.34 (WebGL2), by the names, units and defaults of its ShadowGenerator. The map must be
-    square."""
+    """The shadows of Babylon.js 9.34 (WebGL2), with the names, units and defaults of its ShadowGenerator. The map must
+    be square."""
 
     filter_key = "filter"
     filters = ("NONE", "POISSONSAMPLING", "PCF", "PCSS")
-    # Under a point light the engine draws the others as POISSONSAMPLING.
+    # Under a point light, the engine draws the others as POISSONSAMPLING.
     point_filters = ("NONE", "POISSONSAMPLING")
     has_square_maps = True
     default_size = 1024
@@ -164,7 +164,7 @@ class BabylonJs(Engine):
         0.0
     )
     contact_hardening_light_size_uv_ratio: Annotated[
-        Fraction, Fitted(), "contactHardeningLightSizeUVRatio: radius of PCSS over the map's width"
+        Fraction, Fitted(), "contactHardeningLightSizeUVRatio: radius of PCSS divided by the map's width"
     ] = 0.1
     blur_kernel: Annotated[int, Limits(0, 256), "blurKernel, with use_kernel_blur"] = 1
     blur_box_offset: Annotated[int, Limits(0, 64), "blurBoxOffset, without use_kernel_blur"] = 1
@@ -179,7 +179,7 @@ class BabylonJs(Engine):
 
 
 class PlayCanvas(Engine):
-    """The shadows of PlayCanvas 2.23 (WebGL2, without clustered lighting), by the names, units and defaults of its
+    """The shadows of PlayCanvas 2.23 (WebGL2, without clustered lighting), with the names, units and defaults of its
     LightComponent. The map must be square."""
 
     biases = ("shadow_bias", "normal_offset_bias")
@@ -217,7 +217,7 @@ _Distance = Annotated[float, Limits(0, FARTHEST, above_low=True), Unit("world un
 
 
 class Bevy(Engine):
-    """The shadows of Bevy 0.19 under directional and spot lights, by the names, units and defaults of its lights. The
+    """The shadows of Bevy 0.19 under directional and spot lights, with the names, units and defaults of its lights. The
     map must be square."""
 
     biases = ("shadow_depth_bias", "shadow_normal_bias")
@@ -242,9 +242,11 @@ class Bevy(Engine):
         "shadow_normal_bias: shift of receivers along their normals",
     ] = 1.8
     num_cascades: Annotated[int, Limits(1, 4), "num_cascades of a directional light"] = 4
-    minimum_distance: Annotated[_Distance, "minimum_distance: where the first cascade begins"] = 0.1
-    maximum_distance: Annotated[_Distance, "maximum_distance: where the last cascade ends"] = 150.0
-    first_cascade_far_bound: Annotated[_Distance, "first_cascade_far_bound: where the first of several ends"] = 10.0
+    minimum_distance: Annotated[_Distance, "minimum_distance: start of the first cascade"] = 0.1
+    maximum_distance: Annotated[_Distance, "maximum_distance: end of the last cascade"] = 150.0
+    first_cascade_far_bound: Annotated[_Distance, "first_cascade_far_bound: end of the first of several cascades"] = (
+        10.0
+    )
     overlap_proportion: Annotated[
         float, Limits(0, 1, below_high=True), "overlap_proportion: the share in which a cascade fades into the next"
     ] = 0.2
@@ -253,7 +255,7 @@ class Bevy(Engine):
 
 
 class GodotCompatibility(Engine):
-    """The shadows of Godot 4.6 in its Compatibility renderer, by the names, units and defaults of its lights. The map
+    """The shadows of Godot 4.6 in its Compatibility renderer, with the names, units and defaults of its lights. The map
     must be square."""
 
     biases = ("shadow_bias", "shadow_normal_bias")
@@ -283,6 +285,6 @@ class GodotCompatibility(Engine):
         "directional_shadow_pancake_size: depth of the space for casters in front of the view",
     ] = 20.0
     directional_shadow_fade_start: Annotated[
-        Fraction, "directional_shadow_fade_start: share of the distance where shadows begin to fade out"
+        Fraction, "directional_shadow_fade_start: fraction of the shadow distance at which shadows begin to fade out"
     ] = 0.8
     side: Annotated[_Sides, "faces that the material's cull mode keeps, for all meshes or for each"] = "front"

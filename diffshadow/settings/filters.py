@@ -21,7 +21,7 @@ _LeastVariance = Annotated[
     float,
     Limits(1e-12, 1),
     Fitted(),
-    "least variance of depth, where depth is 0 at the map's near plane and 1 at its far plane",
+    "minimum variance of depth, where depth is 0 at the map's near plane and 1 at its far plane",
 ]
 
 
@@ -30,25 +30,25 @@ class Filter(Settings):
 
     type: Any
     radius_key: ClassVar[str] = "radius"
-    """The key that sets how far its taps reach."""
+    """The key that sets the reach of its taps."""
     beyond_radius: ClassVar[float] = 0.0
-    """How far beyond its radius the filter reads the map, in texels."""
+    """The distance beyond its radius at which the filter reads the map, in texels."""
     grows_with_radius: ClassVar[bool] = False
     """Whether the module takes an upper bound of its radius."""
 
     @property
     def looks_up_nearest(self) -> bool:
-        """Whether it reads nearest texels, so that it has no gradient with respect to the place that it reads."""
+        """Whether it reads nearest texels. It then has no gradient with respect to the position that it reads."""
         return False
 
     @property
     def reach(self) -> float:
-        """How far from the receiver's texel coordinates the filter reads the map, in texels."""
+        """The distance from the receiver's texel coordinates at which the filter reads the map, in texels."""
         return self.reach_of(self)
 
     @classmethod
     def reach_of(cls, values: Any) -> Any:
-        """The same for other `values` of its keys, such as the values of a module."""
+        """The reach for other `values` of its keys, such as the values of a module."""
         return getattr(values, cls.radius_key, 0.0) + cls.beyond_radius
 
 
@@ -117,7 +117,7 @@ class Separable(Filter):
         Len(1, 16),
         Form("a list of 1 to 16 weights"),
         Fitted(),
-        "weights of the bilinear compares 1, 2, ... texels from the middle, whose weight is 1",
+        "weights of the bilinear compares 1, 2, ... texels from the centre, relative to the weight at the centre",
     ] = (0.75, 0.25)
 
     @classmethod

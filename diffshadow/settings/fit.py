@@ -1,4 +1,4 @@
-"""Settings of fits: solver, annealing, loss, and what is reported."""
+"""Settings of fits: solver, annealing, loss, and reported results."""
 
 import math
 from typing import Annotated, Any, Literal
@@ -13,13 +13,14 @@ SolverName = Literal["levenberg_marquardt", "dogleg", "bfgs", "lbfgs", "adam"]
 Over = Literal["mean", "worst", "cvar"]
 
 FEWEST_POINTS = 3
-"""The fewest points of a front."""
+"""The minimum number of points of a front."""
 PIXELS = 1 << 16
-"""The most pixels that a step of a fit of a technique evaluates, by default: as many as 256 x 256."""
+"""The default maximum of pixels in a step of a fit of a technique: 256 x 256."""
 BLUR = 3.0
-"""The last standard deviation of a fit by default, in pixels."""
+"""The default of a fit's last standard deviation, in pixels."""
 MOST_SHADOW_POINTS = 1 << 20
-"""A fit of lights or meshes, or to a picture, looks up shadows at no more points within its pixels, by default."""
+"""The default maximum of points within its pixels at which a fit of lights or meshes, or a fit to a picture, looks up
+shadows."""
 # The largest standard deviation, as a fraction of the image's shorter side.
 _WIDEST = 1 / 8
 
@@ -31,7 +32,7 @@ def widest_blur(*sides: int) -> float:
 
 _Tolerance = Annotated[float, Limits(0, 1, above_low=True, below_high=True)]
 Excess = Annotated[float, Limits(0, 10, above_low=True)]
-"""How far an error may exceed the best, as a fraction of the best."""
+"""The tolerated increase of the error, as a fraction of the best error."""
 Blur = Annotated[float, Limits(0, MAX_TEXELS), Unit("pixels")]
 
 
@@ -40,7 +41,7 @@ class Solver(Settings):
 
     type: Annotated[SolverName, At("name"), "the method"] = "levenberg_marquardt"
     # About a day, at a second per step.
-    max_steps: Annotated[int, Limits(1, 100_000), Unit("steps"), "most steps in a phase"] = 30
+    max_steps: Annotated[int, Limits(1, 100_000), Unit("steps"), "maximum number of steps in a phase"] = 30
     rtol: Annotated[_Tolerance, "relative change at which a phase ends"] = 1e-4
     atol: Annotated[_Tolerance, "absolute change at which a phase ends"] = 1e-6
     learning_rate: Annotated[
@@ -66,7 +67,7 @@ class Anneal(Settings):
 
 
 class AnyLoss(Settings):
-    """What a fit minimises."""
+    """The quantity that a fit minimises."""
 
     type: Any
 
@@ -81,8 +82,8 @@ class Loss(AnyLoss):
         Limits(0, 1, above_low=True),
         "for cvar: the fraction of all pixels that the worst views have",
     ] = 0.1
-    false_shadow: Annotated[Factor, "factor of the squares where an image is too dark"] = 1.0
-    false_light: Annotated[Factor, "factor of the squares where an image is too light"] = 1.0
+    false_shadow: Annotated[Factor, "factor of squared errors that are too dark"] = 1.0
+    false_light: Annotated[Factor, "factor of squared errors that are too light"] = 1.0
 
 
 class Search(Settings):
@@ -102,7 +103,7 @@ class Search(Settings):
         At("starts"),
         "number of starts: the initial values, and others within the bounds",
     ] = 1
-    # Each draws the map again.
+    # Each evaluation draws the map again.
     evaluations: Annotated[
         int,
         Limits(1, 100_000),
@@ -112,7 +113,7 @@ class Search(Settings):
         int,
         Limits(1, 1 << 40),
         Unit("pixels"),
-        "for techniques: most pixels of all views that a step of the fit evaluates; if more count, a random part",
+        "for techniques: maximum number of pixels of all views in a step of the fit; if more count, a random sample",
     ] = PIXELS
     devices: Annotated[
         int,
@@ -123,11 +124,11 @@ class Search(Settings):
 
 
 class Sureness(Settings):
-    """What a fit finds out about the values near the best."""
+    """The results of a fit about the values near the best."""
 
     intervals: Annotated[
         tuple[Excess, ...],
-        # Each takes as long as the fit, for every parameter.
+        # Each fraction takes as long as the fit, for every parameter.
         Len(0, 16),
         Form("a list of at most 16 fractions", "[0.01, 0.05]"),
         At("within"),
@@ -144,7 +145,7 @@ class Sureness(Settings):
 
 
 class Fit(Search, Sureness):
-    """How a fit searches, and what it reports."""
+    """The search of a fit, and its report."""
 
     points: Annotated[
         PixelPointCount | None,
@@ -159,7 +160,7 @@ class ShapePhase(Settings):
     strength: Annotated[
         float,
         Limits(0, 1e6),
-        "how strongly the steps of neighbouring vertices are smoothed: λ of large steps; 0 for not at all",
+        "strength of the smoothing between the steps of neighbouring vertices: λ of large steps; 0 for none",
     ] = 20.0
     rate: Annotated[
         float,
@@ -168,8 +169,10 @@ class ShapePhase(Settings):
     ] = 0.05
     steps: Annotated[int, Limits(1, 100_000), Unit("steps"), "number of steps"] = 150
     blur: Annotated[Blur, "standard deviation of the Gaussian under which images are compared"] = 1.0
-    # Each makes four triangles of one; a sphere of 20 has 1.3 million after 8.
-    subdivisions: Annotated[int, Limits(0, 8), "how often each triangle is split in four before the phase"] = 0
+    # Each split makes four triangles of one. A sphere of 20 has 1.3 million after 8.
+    subdivisions: Annotated[
+        int, Limits(0, 8), "number of times that each triangle is split in four before the phase"
+    ] = 0
     light_rate: Annotated[
         float,
         Limits(0, 90),
@@ -191,13 +194,12 @@ PHASES = (
     {"strength": 5.0, "rate": 0.0225, "steps": 100, "normal_consistency": 1e-2},
     {"strength": 2.0, "rate": 0.015, "steps": 180, "normal_consistency": 1e-3},
 )
-"""Phases of a fit of a shape from within its visual hull; what they leave out has its default."""
+"""Phases of a fit of a shape from within its visual hull. Missing fields have their defaults."""
 Screen = Literal["facing", "below"]
 
 
 class Shape(Settings):
-    """A fit of all vertices of a mesh to its shadows on screens. For each light there is one screen, behind the
-    mesh."""
+    """A fit of all vertices of a mesh to its shadows on screens. Each light has one screen, behind the mesh."""
 
     screen: Annotated[
         Screen, "surfaces that shadows fall on: screens that face their lights, or a level screen below"
@@ -214,13 +216,13 @@ class Shape(Settings):
     moves: Annotated[
         tuple[Annotated[int, Limits(0, 1 << 16)], ...],
         Form("a list of whole numbers", "[0, 2]"),
-        "which of the scene's lights, counted from 0, are fitted together with the shape",
+        "indices of the scene's lights, from 0, that are fitted together with the shape",
     ] = ()
     off: Annotated[
         float,
         Limits(0, 45),
         Unit("degrees"),
-        "for traced shadows: how far these lights start from their place in the scene",
+        "for traced shadows: angle between the start of these lights and their position in the scene",
     ] = 0.0
     seconds: Annotated[
         float, Limits(0, 86_400), Unit("seconds"), "time between checkpoints, from which a stopped fit continues"

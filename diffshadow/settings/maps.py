@@ -6,7 +6,7 @@ from ._settings import Form, Limits, Settings, Unit
 from .quantities import MAX_FACTOR, MAX_TEXELS, Size
 
 Cull = Literal["none", "back", "front"]
-"""Which faces are not drawn."""
+"""The faces that are not drawn."""
 DepthFormat = Literal["float32", "unorm24", "unorm16"]
 DepthLayer = Literal["nearest", "midpoint", "second"]
 DepthOperator = Literal["less_equal", "less"]
@@ -14,7 +14,7 @@ SoftKernel = Literal["logistic", "linear", "smoothstep", "gaussian", "exponentia
 """Shape of a soft compare's step."""
 
 _Offset = Annotated[float, Limits(-MAX_FACTOR, MAX_FACTOR)]
-# The least is far below the resolution of float32 depth, and 1 / width is finite.
+# The minimum is far below the resolution of float32 depth, and 1 / width is finite.
 Width = Annotated[float, Limits(1e-6, MAX_TEXELS), Unit("texels")]
 """Width of a soft compare."""
 
@@ -35,7 +35,7 @@ class ShadowMap(Settings):
     ] = None
     silhouettes: Annotated[
         bool | None,
-        "whether texels store where silhouettes cross them; default: in fits that move lights or meshes",
+        "whether texels store the silhouettes inside them; default: in fits that move lights or meshes",
     ] = None
 
 

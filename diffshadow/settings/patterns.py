@@ -6,21 +6,21 @@ from ._settings import At, Limits, Settings, Unit
 
 PatternName = Literal["stratified", "uniform", "poisson", "vogel", "sobol", "halton"]
 DiskMapping = Literal["concentric", "polar"]
-"""How the unit square is mapped to the unit disk. Both preserve area; `"concentric"` has less distortion."""
+"""The map from the unit square to the unit disk. Both preserve area; `"concentric"` has less distortion."""
 MAX_TAPS = 1 << 20
-"""The most taps in a tile of a filter's patterns, which take seconds to generate."""
+"""The maximum number of taps in a tile of a filter's patterns, which take seconds to generate."""
 MAX_PATTERN_TAPS = 16 * MAX_TAPS
-"""The most taps in a tile of any patterns, which take 270 MB."""
+"""The maximum number of taps in a tile of any patterns, which take 270 MB."""
 
 Samples = Annotated[int, Limits(1, 4096), Unit("taps per pixel")]
-# With more than a filter has, a sweep finds what its runs converge to.
+# With more taps than a filter has, a sweep finds the limit of its runs.
 PatternSamples = Annotated[int, Limits(1, MAX_TAPS), Unit("taps per pixel")]
 
 
 class Pattern(Settings):
-    """The places of the taps on a disk, with a different set for each pixel of a tile."""
+    """The positions of the taps on a disk, with a different set for each pixel of a tile."""
 
-    pattern: Annotated[PatternName, At(), "how the taps are distributed on a disk"] = "stratified"
+    pattern: Annotated[PatternName, At(), "distribution of the taps on a disk"] = "stratified"
     samples: Annotated[Samples, "taps per pixel"] = 32
     pattern_size: Annotated[
         int, Limits(1, 256), Unit("pixels"), "width of the tile of patterns, in pixels; default: 8, or 1 for vogel"
@@ -29,7 +29,7 @@ class Pattern(Settings):
 
 
 class Vogel(Pattern):
-    """The sunflower spiral, which is one set for all pixels, rotated for each."""
+    """The sunflower spiral. All pixels use one set, rotated for each."""
 
     pattern_size = 1
     rotated = True

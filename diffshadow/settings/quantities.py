@@ -5,27 +5,27 @@ from typing import Annotated
 from ._settings import Form, Limits, LongerThan, Unit
 
 MAX_TEXELS = 8192
-"""The most texels or pixels along a side of a map or an image. No filter or bias needs to reach farther."""
+"""The maximum side of a map or an image, in texels or pixels. No filter or bias needs to reach farther."""
 MAX_VIRTUAL = 65536
-"""The most texels along a side of a map that is drawn in pages only. The rasterizer's coordinates go no farther."""
+"""The maximum side of a map that is drawn only in pages, in texels. The rasterizer's coordinates go no farther."""
 FARTHEST = 1e9
-"""The greatest coordinate and length, in world units. Normals are cross products of edges, and their lengths are
-squared, so the fourth power of a length must be representable in float32, which ends at 3e38."""
+"""The maximum coordinate and length, in world units. Normals are cross products of edges, and their lengths are
+squared. The fourth power of a length must therefore be representable in float32, which ends at 3e38."""
 SMALLEST = 1e-6
-"""The least size of a mesh, in world units: the fourth power of an edge a thousandth as long must exceed 1e-38."""
+"""The minimum size of a mesh, in world units. The fourth power of an edge a thousandth as long must exceed 1e-38."""
 MAX_DEGREES = 3600.0
-"""The greatest angle: ten turns. Float32 resolves angles of this size to 0.0002 degrees."""
+"""The maximum angle: ten turns. Float32 resolves angles of this size to 0.0002 degrees."""
 NARROWEST = 0.01
-"""The narrowest field of view, and the least by which one stays below 180 degrees, in degrees: the projection matrix
-holds the tangent of the half angle and its reciprocal."""
+"""The minimum field of view, and the minimum distance of a field of view from 180 degrees, in degrees. The projection
+matrix has the tangent of the half angle and its reciprocal."""
 MAX_FACTOR = 1e6
-"""The greatest factor: colours are products of several, and must be representable in float32."""
+"""The maximum factor. Colours are products of several factors, and must be representable in float32."""
 MAX_LAYERS = 8
-"""The most maps of a light: as many cascades, or the six faces of a point light."""
+"""The maximum number of maps of a light: cascades, or the six faces of a point light."""
 
 Degrees = Annotated[float, Unit("degrees")]
 Turn = Annotated[Degrees, Limits(-MAX_DEGREES, MAX_DEGREES)]
-# Where shadows have a finite penumbra.
+# Penumbrae are finite here.
 HalfAngle = Annotated[Degrees, Limits(0, 90 - NARROWEST)]
 WorldUnits = Annotated[float, Limits(0, FARTHEST), Unit("world units")]
 Distance = Annotated[float, Limits(0, FARTHEST, above_low=True), Unit("world units")]
@@ -54,4 +54,4 @@ Radiance = Annotated[
 _Side = Annotated[int, Limits(1, MAX_TEXELS)]
 Size = Annotated[tuple[_Side, _Side], Form("two whole numbers [height, width]", "[512, 512]")]
 PixelPointCount = Annotated[int, Limits(1, 1024)]
-"""How many points within a pixel shadows are looked up at."""
+"""The number of points within a pixel at which shadows are looked up."""

@@ -7,14 +7,14 @@ from annotated_types import Len
 from ._settings import InputFile, Limits, Settings, Unit
 
 Sampler = Literal["sobol", "stratified"]
-"""How points of a light are chosen. Both converge equally fast; `"stratified"` works best with a square number."""
+"""How points on a light are chosen. Both converge equally fast; `"stratified"` works best with a square number."""
 
 
 Encoding = Literal["linear", "srgb"]
-"""What the numbers of a picture are: linear colours, or colours of sRGB from 0 to 1."""
+"""The encoding of a picture: linear colours, or sRGB colours from 0 to 1."""
 
 Blockers = Literal["casters", "all"]
-"""Which meshes block rays: casters, or all of them."""
+"""The meshes that block rays: casters, or all of them."""
 
 
 class Reference(Settings):
@@ -27,11 +27,11 @@ class TracedReference(Reference):
     """A ray-traced reference."""
 
     type: Literal["traced"] = "traced"
-    # More gain nothing in float32.
+    # More samples gain nothing in float32.
     samples: Annotated[int, Limits(1, 1 << 16), Unit("rays per pixel"), "shadow rays per pixel"] = 64
     sampler: Annotated[Sampler, "how points of the light are chosen"] = "sobol"
     blockers: Annotated[Blockers, "meshes that block rays: casters, or all, even those with casts: false"] = "casters"
-    # More are not worth their memory.
+    # More rays are not worth their memory.
     supersampling: Annotated[
         int,
         Limits(1, 8),

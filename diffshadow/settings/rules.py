@@ -1,7 +1,7 @@
-"""Rules of thumb: biases that hold over many scenes.
+"""Rules of thumb: biases for many scenes.
 
-`experiments/rules_of_thumb.py` searched for them in a collection of scenes, tested them on kinds of scenes that they
-were not searched for in, and wrote them to `rules.json`. docs/rules_of_thumb.md says how, and what they are worth.
+`experiments/rules_of_thumb.py` searched for them in a collection of scenes, tested them on kinds of scenes that the
+search left out, and wrote them to `rules.json`. docs/rules_of_thumb.md describes the search and the worth of the rules.
 """
 
 import json
@@ -17,11 +17,10 @@ from .engines import EngineName
 
 
 class Worth(NamedTuple):
-    """What a bias is worth over some scenes.
+    """The worth of a bias over some scenes.
 
     - `price`: its error divided by the error of the best bias for the scene; the mean over scenes.
-    - `acne`, `leaks`: the shares of scenes where more than a thousandth of the light is wrongly missing, or wrongly
-        present.
+    - `acne`, `leaks`: the shares of scenes where more than a thousandth of the light is missing, or too much.
     """
 
     price: float
@@ -40,8 +39,8 @@ class Numbers(NamedTuple):
 class Rule(NamedTuple):
     """A bias for any scene.
 
-    - `own`: its worth in the scenes in which it was searched; `worth`: the worth of rules in kinds of scenes in which
-        they were not searched; `maps`: their price there, by the map's side in texels.
+    - `own`: its worth in the scenes of its search; `worth`: the worth of rules in kinds of scenes that their search
+      left out; `maps`: their price there, by the map's side in texels.
     """
 
     bias: Numbers
@@ -51,12 +50,12 @@ class Rule(NamedTuple):
 
 
 class EngineRule(NamedTuple):
-    """A bias for an engine's default filter, and the engine's own default bias.
+    """A bias for an engine's default filter, and the engine's default bias.
 
     - `constant`, `normal_offset`: biases in texels; the offset has the engine's own profile. If `is_own`, they are the
-        engine's own settings, in scenes whose unit is a metre, because the light's cameras follow the view and texels
-        have no fixed width.
-    - `shipped`: the worth of the engine's own default, in scenes whose unit is a metre.
+      engine's own settings, in scenes whose unit is a metre, because the light's cameras follow the view and texels
+      have no fixed width.
+    - `shipped`: the worth of the engine's default, in scenes whose unit is a metre.
     """
 
     constant: float
@@ -69,27 +68,28 @@ class EngineRule(NamedTuple):
 _FOUND = json.loads(resources.files(__package__).joinpath("rules.json").read_text(encoding="utf-8"))
 
 SCENES: int = _FOUND["scenes"]
-"""How many scenes rules were searched for in."""
+"""The number of scenes in the search for rules."""
 KINDS: int = _FOUND["kinds"]
 """The kinds of these scenes. Rules were tested on each kind without it."""
 MAX_REACH: float = _FOUND["reach"]
-"""The widest kernel that was measured: texels from its middle to its rim."""
+"""The reach of the widest measured kernel, in texels from its centre to its rim."""
 PART: float = _FOUND["casters"]["part"]
-"""The constant bias of a rule is at most this part of a typical caster's width, or of the kernel's if that is wider: a
-longer one takes shadows away."""
+"""The constant bias of a rule is at most this fraction of a typical caster's width, or of the kernel's if that is
+wider. A larger bias removes shadows."""
 CONSTANT, CONSTANT_PER_TEXEL, SLOPE, SLOPE_PER_TEXEL = map(float, _FOUND["formula"]["numbers"])
 """The bias for any filter, in texels: for no reach, and for each texel of reach."""
 FORMULA_WORTH = Worth(*_FOUND["formula"]["worth"])
-"""Means over the filters that were measured."""
+"""Means over the measured filters."""
 PLANE_CONSTANT: float = _FOUND["plane"]["number"]
-"""The constant bias beside a bias from the receiver's plane, in texels: for no reach, and for each texel of reach."""
+"""The constant bias in addition to a bias from the receiver's plane, in texels: for no reach, and for each texel of
+reach."""
 PLANE_WORTH = Worth(*_FOUND["plane"]["worth"])
 """Means over the filters that were measured with such a bias."""
 FILTER_RULES = {
     name: Rule(Numbers(*of["bias"]), Worth(*of["worth"]), Worth(*of["own"]), of["maps"])
     for name, of in _FOUND["filters"].items()
 }
-"""The rules by filter. Filters with a receiver plane have a constant bias beside it."""
+"""The rules by filter. Filters with a receiver plane also have a constant bias."""
 STARTS = {name: Numbers(*bias) for name, bias in _FOUND["starts"].items()}
 """The rule for a disk with a radius of 2 texels, by the names of the numbers that are not 0."""
 ENGINE_RULES: dict[EngineName, EngineRule] = {
@@ -106,8 +106,7 @@ MEASURED = (
     filters.Castano,
     filters.RandomDisk,
 )
-"""Filters that have a rule of their own, or the rule of a box: their taps are compared one by one, as far as a known
-reach."""
+"""Filters that have their own rule, or the rule of a box. Their taps are compared one by one, up to a known reach."""
 RULED = (
     *MEASURED,
     filters.VarianceShadowMap,
@@ -118,12 +117,12 @@ RULED = (
 )
 """All filters that have a rule. Filters that do not compare taps one by one have the same rule for all radii."""
 _NONE, _OTHERS = Numbers(0.0, 0.0, 0.0), Numbers(0.5, 0.5, 0.0)
-# Of a texel. Nobody types more.
+# In texels. Users do not type more digits.
 _DIGITS = 2
 
 
 class Measured(NamedTuple):
-    """A filter as it was measured: its name in `FILTER_RULES`, its reach in texels, and its rule."""
+    """A measured filter: its name in `FILTER_RULES`, its reach in texels, and its rule."""
 
     name: str
     reach: float
@@ -131,7 +130,7 @@ class Measured(NamedTuple):
 
 
 def _measured() -> dict[type[filters.Filter], list[Measured]]:
-    """What was measured without a receiver plane, by kind of filter and ascending reach."""
+    """The measurements without a receiver plane, by kind of filter and ascending reach."""
     kinds, found = {each.type: each for each in RULED}, {}
     for name, rule in FILTER_RULES.items():
         label, *sizes = name.split(", ")
@@ -151,21 +150,21 @@ _BY_KIND = _measured()
 
 
 def measured_of(kind: type[Any]) -> list[Measured]:
-    """The measurements of a kind of filter, by ascending reach; empty if there are none. A filter whose taps are
-    compared one by one takes the measurements of boxes."""
+    """The measurements of a kind of filter, by ascending reach. Empty if there are none. A filter whose taps are
+    compared one by one uses the measurements of boxes."""
     others = _BY_KIND[filters.PercentageCloser] if issubclass(kind, MEASURED) else []
     return next((found for each, found in _BY_KIND.items() if issubclass(kind, each)), others)
 
 
 def bias_of(kind: type[Any], reach: float, *, plane: bool = False, across: float = math.inf) -> Numbers:
-    """The bias for a kind of filter that reads the map as far as `reach` texels from the receiver, beside a bias from
-    the receiver's plane if there is a `plane`. With a plane, filters that do not take compares one by one have no other
-    bias.
+    """The bias for a kind of filter that reads the map up to `reach` texels from the receiver. With a `plane`, it is
+    the additional bias to a bias from the receiver's plane. With a plane, filters that do not compare taps one by one
+    have no other bias.
 
-    It is the filter's own rule where one was measured, else the rule of a box with the same reach. Between two reaches
-    that were measured, it is interpolated. Beyond the widest, the slope bias grows as in the formula for any filter.
+    It is the filter's own rule if one was measured, and otherwise the rule of a box with the same reach. Between two
+    measured reaches, it is interpolated. Beyond the widest, the slope bias grows as in the formula for any filter.
 
-    **Arguments:** `across`: how many texels a typical caster is wide, if known. The constant is at most `PART` of this
+    **Arguments:** `across`: the width of a typical caster in texels, if known. The constant is at most `PART` of this
     width, or of the kernel's width.
     """
     bias = _bias_of(kind, reach, plane=plane)
@@ -185,7 +184,7 @@ def _bias_of(kind: type[Any], reach: float, *, plane: bool) -> Numbers:
 
 
 def _interpolated(own: list[Measured], reach: float) -> Numbers:
-    """The bias at a reach, which is linear between those that were measured, and constant beyond them."""
+    """The bias at a reach. It is linear between the measured reaches, and constant beyond them."""
     if reach <= own[0].reach:
         return own[0].rule.bias
     for low, high in pairwise(own):
@@ -196,5 +195,5 @@ def _interpolated(own: list[Measured], reach: float) -> Numbers:
 
 
 def plane_constant_for(reach: float) -> float:
-    """The constant bias in texels beside a bias from the receiver's plane."""
+    """The constant bias in texels, in addition to a bias from the receiver's plane."""
     return round(PLANE_CONSTANT * (1 + reach), _DIGITS)

@@ -18,22 +18,22 @@ PIECES = (
 )
 """The meshes of the library: names of functions in `geometry/_library.py`."""
 GLTF_SUFFIXES = (".glb", ".gltf")
-"""The suffixes of files that may hold cameras and lights beside meshes."""
+"""The suffixes of files that may have cameras and lights in addition to meshes."""
 MESH_SUFFIXES = (*GLTF_SUFFIXES, ".obj", ".off", ".ply", ".stl")
 """The suffixes of mesh files that the package reads itself."""
 NO_MESH_SUFFIXES = ("", ".yaml", ".yml", ".json", ".txt")
-"""Suffixes that never name a mesh where a configuration is expected."""
+"""Suffixes that never name a mesh in the position of a configuration."""
 MAX_TEXTURE = 8192
-"""The most texels of a texture along each side."""
+"""The maximum side of a texture, in texels."""
 Wrap = Literal["repeat", "clamp", "mirror"]
-"""What a texture shows beyond its image along an axis: the image again, its border, or every other time its mirror
+"""The wrapping of a texture beyond its image along an axis: the image again, its border, or alternately its mirror
 image. In OpenGL and glTF, `REPEAT`, `CLAMP_TO_EDGE` and `MIRRORED_REPEAT`."""
 Wraps = Wrap | tuple[Wrap, Wrap]
 """Along both axes, or along u and along v."""
 TexelFilter = Literal["linear", "nearest"]
-"""What a texture shows between the middles of its texels: their bilinear mean, or the value of the nearest texel."""
+"""The filter of a texture between the centres of its texels: their bilinear mean, or the value of the nearest texel."""
 LightKind = Literal["directional", "spot", "point"]
-"""The lights of engines and of files."""
+"""The kinds of lights of engines and files."""
 
 
 class Cutout(Settings):
@@ -45,7 +45,7 @@ class Cutout(Settings):
 
 
 class Camera(Settings):
-    """The camera that an image is seen from."""
+    """The camera of an image."""
 
     type: Any
     resolution: Annotated[Size, Unit("pixels"), "[height, width] in pixels"] = (512, 512)
@@ -92,14 +92,14 @@ class Sun(DirectionalLight):
 
 
 class ShadowCamera(Settings):
-    """The camera that a directional light's map is drawn with, by the names and defaults of three.js."""
+    """The camera that draws a directional light's map, with the names and defaults of three.js."""
 
     left: Annotated[Coordinate, "left side of the window, in world units"] = -5.0
     right: Annotated[Coordinate, "right side of the window, in world units"] = 5.0
     top: Annotated[Coordinate, "upper side of the window, in world units"] = 5.0
     bottom: Annotated[Coordinate, "lower side of the window, in world units"] = -5.0
-    near: Annotated[Coordinate, "where the map's depth begins, in world units"] = 0.5
-    far: Annotated[Coordinate, "where the map's depth ends, in world units"] = 500.0
+    near: Annotated[Coordinate, "start of the map's depth, in world units"] = 0.5
+    far: Annotated[Coordinate, "end of the map's depth, in world units"] = 500.0
     ascending = (("left", "right"), ("bottom", "top"), ("near", "far"))
 
 

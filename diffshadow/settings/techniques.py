@@ -1,4 +1,4 @@
-"""Settings of techniques, and of how they lay out maps. A class has the name of its module in `shadow`."""
+"""Settings of techniques and of the layouts of their maps. A class has the name of its module in `shadow`."""
 
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -9,25 +9,25 @@ from .filters import Shape
 from .quantities import MAX_FACTOR, MAX_LAYERS, MAX_VIRTUAL, Distance, Fraction, Size, Texels
 
 DepthRange = Literal["camera", "surface"]
-"""Whether a layout fits maps to all depths from the camera's near to far, or to the depths of the surface it sees."""
+"""The depths that a layout fits maps to: from the camera's near to far, or the depths of the visible surface."""
 CascadeFit = Literal["cascade", "scene"]
 CascadeSelection = Literal["interval", "map"]
-"""Which cascade a point falls in: by its depth, or the first whose map contains it."""
+"""The cascade of a point: by its depth, or the first whose map contains it."""
 WarpMethod = Literal["lispsm", "perspective", "trapezoidal"]
-"""How a light's view is warped: light space perspective, perspective, or trapezoidal shadow maps."""
+"""The warp of a light's view: light space perspective, perspective, or trapezoidal shadow maps."""
 LevelNorm = Literal["area", "worst"]
-"""Which size of a texel on the screen is matched to a pixel: its area, or its longest extent."""
+"""The size of a texel on the screen that is matched to a pixel: its area, or its longest extent."""
 VolumeMethod = Literal["z_fail", "z_pass"]
 ShaderLanguage = Literal["glsl", "wgsl", "hlsl"]
-"""What shaders are exported to: GLSL 3.30 or ES 3.00, WGSL, HLSL of shader model 5."""
+"""The shader languages: GLSL 3.30 or ES 3.00, WGSL, HLSL of shader model 5."""
 
 MARGIN = 8.0
-"""Margin of a layout's maps that is made without a filter to know the reach of, in texels."""
+"""The margin of a layout's maps without a filter of known reach, in texels."""
 MAX_LEVEL_BIAS = 16.0
 SPARE = 1.0
-"""Texels of a map's margin beyond the filter's reach: for what is within half a texel of the border."""
+"""Texels of a map's margin beyond the filter's reach, for points within half a texel of the border."""
 MAX_ACROSS = 1024
-"""The most pages along a side of a virtual map: tables have an entry for each page."""
+"""The maximum number of pages along a side of a virtual map. Tables have an entry for each page."""
 
 _ShadowDistance = Annotated[
     Distance | None,
@@ -40,11 +40,11 @@ class Technique(Settings):
 
     type: Any
     is_whole: ClassVar[bool] = False
-    """Whether all of its numbers are its own, and the sections bias and filter change nothing."""
+    """Whether all of its numbers are its own, so that the sections bias and filter change nothing."""
 
 
 class OwnTechnique(Technique):
-    """A technique of a user's."""
+    """A user's technique."""
 
     is_whole = True
 
@@ -65,11 +65,11 @@ class SingleMap(Mapped):
 
 
 class FittedLayout(Mapped):
-    """Maps that are fitted to what a camera sees, under directional lights."""
+    """Maps that are fitted to the camera's view, under directional lights."""
 
     shadow_distance: _ShadowDistance = None
     margin: Annotated[
-        Texels | None, "how far maps extend beyond the visible surface, in texels; default: the filter's reach"
+        Texels | None, "margin of maps beyond the visible surface, in texels; default: the filter's reach"
     ] = None
 
 
@@ -91,20 +91,20 @@ class Cascades(FittedLayout):
         Fitted(searched=True),
         "spacing of the slices: from 0 for equal depths to 1 for equal ratios of depths",
     ] = 0.5
-    # The side of a cascade is at most a thousand times another's.
+    # The side of a cascade is at most a thousand times another cascade's side.
     shares: Annotated[
         tuple[Annotated[float, Limits(1e-3, 1e3)], ...] | None,
         Len(1, MAX_LAYERS),
         Form(f"a list of 1 to {MAX_LAYERS} shares, relative to one another"),
         Fitted(searched=True),
-        "how many texels each cascade has, relative to the others, of count times shadow_map.resolution; "
-        "default: as many",
+        "share of each cascade in the texels of count times shadow_map.resolution, relative to the others; default: "
+        "equal",
     ] = None
     depths: Annotated[
         DepthRange, "depths that are sliced: the camera's near to its far, or the range of the visible surface"
     ] = "camera"
-    fit: Annotated[CascadeFit, "what a cascade contains: its slice, or everything up to its end"] = "cascade"
-    stabilize: Annotated[bool, "whether texels keep their place on surfaces when the camera moves and turns"] = True
+    fit: Annotated[CascadeFit, "content of a cascade: its slice, or everything up to its end"] = "cascade"
+    stabilize: Annotated[bool, "whether texels stay in place on surfaces when the camera moves and turns"] = True
     select: Annotated[CascadeSelection, "a receiver's cascade: by its depth, or the first whose map contains it"] = (
         "interval"
     )
@@ -124,7 +124,9 @@ class PerspectiveWarp(FittedLayout):
     """One map under each directional light, warped so that surfaces close to the camera get more texels."""
 
     type: Literal["perspective_warp"] = "perspective_warp"
-    method: Annotated[WarpMethod, "how the warp's strength is found; lispsm has the least worst aliasing"] = "lispsm"
+    method: Annotated[WarpMethod, "method for the warp's strength; lispsm has the lowest maximum of aliasing"] = (
+        "lispsm"
+    )
     strength: Annotated[
         float | None,
         Limits(0, MAX_FACTOR),
@@ -176,7 +178,7 @@ class ShadowVolumes(Technique):
 
 
 class IrregularZBuffer(Technique):
-    """Hard shadows at the surface's own points, by testing triangles against them in the light's view."""
+    """Hard shadows at the surface's own points. Triangles are tested against the points in the light's view."""
 
     type: Literal["irregular_z_buffer"] = "irregular_z_buffer"
 

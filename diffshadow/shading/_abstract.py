@@ -26,17 +26,17 @@ class AbstractShading(CheckedModule):
         **Arguments:**
 
         - `light`: one light, or several in a sequence.
-        - `visibility`: (h, w), visibility of the light, in [0, 1]. For several lights, one for each, (l, h, w) or in a
-            sequence.
+        - `visibility`: (h, w), visibility of the light, in [0, 1]. For several lights, one image for each, as (l, h, w)
+          or in a sequence.
 
         **Returns:** (h, w, 3), linear, 0 or more; it may exceed 1. Differentiable with respect to all arguments,
         without NaN.
 
-        **Raises** `ValueError` unless there are as many visibilities as lights.
+        **Raises** `ValueError` unless the numbers of visibilities and lights are equal.
         """
 
     def of_light(self, index: int) -> "AbstractShading":
-        """The shading of the scene with only one of its lights, number `index`."""
+        """The shading of the scene with only one of its lights, at `index`."""
         return self
 
     def antialiased(
@@ -47,9 +47,9 @@ class AbstractShading(CheckedModule):
         **Arguments** are as for the image of a surface. `visibility` has a value for each point of `seen.surface`, (h,
         w), or for pixel centres only, (y, x), which `seen.extend` then extends to all points.
 
-        **Returns:** (y, x, 3), linear. It is also differentiable with respect to everything that moves outlines.
+        **Returns:** (y, x, 3), linear. It is also differentiable with respect to all numbers that move outlines.
 
-        **Raises** `ValueError` unless there are as many visibilities as lights.
+        **Raises** `ValueError` unless the numbers of visibilities and lights are equal.
         """
         height = seen.resolution[0]
         pairs = each_light(visibility, light)
@@ -60,7 +60,7 @@ class AbstractShading(CheckedModule):
 def each_light(visibility: Visibilities, light: Lights) -> list[tuple[Visibility, AbstractLight]]:
     """Each light with its visibility.
 
-    **Raises** `ValueError` unless there are as many visibilities as lights.
+    **Raises** `ValueError` unless the numbers of visibilities and lights are equal.
     """
     if isinstance(light, AbstractLight):
         return [(jnp.asarray(visibility), light)]

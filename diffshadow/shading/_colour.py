@@ -1,4 +1,4 @@
-"""Colours whose components can be fitted one by one."""
+"""Colours whose components can be fitted individually."""
 
 from typing import Any
 
@@ -27,7 +27,7 @@ class Colour(eqx.Module):
 
 
 def as_colour(value: Any) -> Any:
-    """A `Colour` from one number or from three; anything else stays as it is."""
+    """A `Colour` from one number or three numbers. Other values are returned unchanged."""
     if isinstance(value, Colour):
         return value
     if np.ndim(value) == 0 and not isinstance(value, str):
@@ -36,5 +36,5 @@ def as_colour(value: Any) -> Any:
 
 
 def as_colours(value: Any) -> Any:
-    """A tuple of `Colour`s from a list of values that `as_colour` accepts; anything else stays as it is."""
+    """A tuple of `Colour`s from a list of values that `as_colour` accepts. Other values are returned unchanged."""
     return tuple(map(as_colour, value)) if isinstance(value, tuple | list) else value

@@ -25,12 +25,12 @@ class ModulatedShadow(AbstractShading):
     the compare fail value of the extension ARB_shadow_ambient (section 3.8.14; 0 without the extension). Several lights
     each have a texture unit, and their factors multiply.
 
-    Unlike in `Phong`, shadow here darkens ambient light and the light of other sources too, and keeps a part of the
-    shadowed light's own diffuse and specular reflection, highlights included. With a single light, a factor of 0 makes
+    In contrast to `Phong`, shadow also darkens ambient light and the light of other sources. It keeps a part of the
+    shadowed light's own diffuse and specular reflection, including highlights. With a single light, a factor of 0 makes
     shadows black.
 
     - `lit`: shading of the scene without shadows.
-    - `factor`: fraction of the colour that is left in shadow: 0 is black, 1 is no shadow.
+    - `factor`: fraction of the colour that remains in shadow: 0 is black, 1 is no shadow.
     """
 
     settings: ClassVar = Settings
@@ -39,7 +39,7 @@ class ModulatedShadow(AbstractShading):
     factor: AsScalar = eqx.field(converter=as_number, default=Settings.factor)
 
     def __call__(self, surface: Surface, visibility: Visibilities, light: Lights, camera: AbstractCamera) -> VectorMap:
-        """The image of `surface`; arguments, result and errors are as for `AbstractShading`. Pixels without a surface
+        """The image of `surface`. Arguments, result and errors are as for `AbstractShading`. Pixels without a surface
         keep their colour."""
         pairs = each_light(visibility, light)
         image = self.lit(surface, [jnp.ones_like(seen) for seen, _ in pairs], [light for _, light in pairs], camera)
@@ -49,5 +49,5 @@ class ModulatedShadow(AbstractShading):
         return image
 
     def of_light(self, index: int) -> "ModulatedShadow":
-        """The shading of the scene with only one of its lights, number `index`."""
+        """The shading of the scene with only one of its lights, at `index`."""
         return dataclasses.replace(self, lit=self.lit.of_light(index))

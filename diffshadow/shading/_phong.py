@@ -72,9 +72,9 @@ class Phong(AbstractShading):
     model: Highlight = eqx.field(static=True, default=shading.Phong.model)
 
     def __call__(self, surface: Surface, visibility: Visibilities, light: Lights, camera: AbstractCamera) -> VectorMap:
-        """The image of `surface`; arguments, result and errors are as for `AbstractShading`.
+        """The image of `surface`. Arguments, result and errors are as for `AbstractShading`.
 
-        **Raises** `ValueError` too unless there are as many `intensities` as lights, if there are any.
+        **Raises** `ValueError` also if `intensities` are given and their number differs from the number of lights.
         """
         to_camera, pairs = _towards_camera(surface, camera), each_light(visibility, light)
         intensities = (self.intensity,) * len(pairs) if self.intensities is None else self.intensities
@@ -115,7 +115,7 @@ class Phong(AbstractShading):
         return jnp.where(positive, jnp.where(positive, cosine, 1) ** self.shininess, 0)
 
     def _fall_off(self, path: VectorMap, surface: Surface, light: AbstractLight) -> Float[Array, "h w"]:
-        """The fraction of the light left after distance attenuation and the spot's cone."""
+        """The fraction of the light that remains after distance attenuation and the spot's cone."""
         if light.is_directional:
             return jnp.ones(path.shape[:-1])
         return self.attenuation(safe_norm(path)) * light.cone_fraction(surface.position)

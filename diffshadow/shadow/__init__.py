@@ -1,4 +1,4 @@
-"""Shadow mapping, its biases, compares and filters; shadow volumes, irregular z-buffers and projective shadows."""
+"""Shadow mapping with its biases, compares and filters; shadow volumes, irregular z-buffers and projective shadows."""
 
 from ..settings.engines import BabylonFilter, BabylonQuality
 from ..settings.maps import SoftKernel

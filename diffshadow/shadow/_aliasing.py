@@ -1,4 +1,4 @@
-"""Aliasing: how large a shadow map's texels are on the screen."""
+"""Aliasing: the size of a shadow map's texels on the screen."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -15,17 +15,17 @@ from .layouts import Choice
 
 
 class Aliasing(eqx.Module):
-    """How large a texel is on the screen at each pixel. It is 1 where map and image match. Larger texels undersample
-    the image, and their edges are visible.
+    """The size of a texel on the screen at each pixel. It is 1 where map and image match. Larger texels undersample the
+    image, and their edges are visible.
 
     The longest extent is Lloyd's error m ("Warping and Partitioning for Low Error Shadow Maps", TR07-005, University of
     North Carolina, 2007).
 
     - `jacobian`: (h, w, 2, 2), the motion of a surface point on the screen, in pixels along x and y (rows), if it moves
-        by one texel along the map's x and y (columns).
-    - `perspective`: (h, w, 2, 2), the same for a surface that leans equally towards the camera and the light, so that
-        only the two perspectives matter. The rest is projection aliasing, which grows when light grazes the surface.
-    - `mask`: (h, w), the pixels where it is measured: surfaces in the map that face the light.
+      by one texel along the map's x and y (columns).
+    - `perspective`: (h, w, 2, 2), the same for a surface tilted equally towards the camera and the light, so that only
+      the two perspectives matter. The rest is projection aliasing, which grows at grazing angles of the light.
+    - `mask`: (h, w), the measured pixels: surfaces in the map that face the light.
     """
 
     jacobian: Jacobian
@@ -60,7 +60,7 @@ class Aliasing(eqx.Module):
 
 @eqx.filter_jit
 def aliasing(shadow_map: ShadowMap, surface: Surface, camera: AbstractCamera, choice: Choice | None = None) -> Aliasing:
-    """How large the texels of `shadow_map` are on the screen of `camera`, at the surface that it sees.
+    """The size of the texels of `shadow_map` on the screen of `camera`, at the visible surface.
 
     Differentiable with respect to the surface, the camera and the map's views.
 
@@ -74,7 +74,7 @@ def aliasing(shadow_map: ShadowMap, surface: Surface, camera: AbstractCamera, ch
     def texel(points: VectorMap) -> TexelMap:
         return project(map_view, resolution, points)[0]
 
-    # Pixels without a surface have no place on the screen.
+    # Pixels without a surface have no position on the screen.
     points = jnp.where(surface.mask[..., None], surface.position, camera.target)
     to_light = normalize(shadow_map.light.towards(points))
     to_camera = normalize(camera.eye - points) if view.is_perspective else view.world_to_eye[2, :3]

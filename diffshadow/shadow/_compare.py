@@ -1,4 +1,4 @@
-"""Depth compares: whether a receiver lies behind the stored depth, as a hard or a smooth step."""
+"""Depth compares, hard or smooth, which test whether a receiver is behind the stored depth."""
 
 import abc
 from typing import ClassVar
@@ -125,8 +125,8 @@ float shadow_compare(float stored, float receiver, float depth_per_texel) {{
 class SoftCompare(AbstractCompare):
     """A compare that rises smoothly from shadowed to lit, `k((stored - receiver) / width)`.
 
-    - `width`: the compare's width, in texel widths along the light's axis; more than 0. In the limit 0 it is the hard
-        compare.
+    - `width`: the compare's width, in texel widths along the light's axis; more than 0. The limit for 0 is the hard
+      compare.
     - `kernel`: `"logistic"`, 1 / (1 + exp(-t)); `"gaussian"`, the normal CDF with standard deviation `width`;
         `"linear"` and `"smoothstep"`, ramps from -width to width; `"exponential"`, min(1, exp(t)), as in exponential
         shadow maps (Annen et al. 2008).

@@ -53,30 +53,30 @@ def draw_shadow_map(
     - `depth_layer`: the surface whose depth a texel stores. `"nearest"`: the nearest. `"midpoint"` (Woo, "The Shadow
         Depth Map Revisited", Graphics Gems III, 1992): the mean of the window depths of the two nearest surfaces, or of
         the nearest surface and the far plane if there is only one surface. It needs no bias except near silhouettes,
-        where the two surfaces meet. `"second"` (Wang & Molnar 1994): the second nearest surface; a surface with nothing
+        where the two surfaces meet. `"second"` (Wang & Molnar 1994): the second nearest surface. A surface with nothing
         behind it casts no shadow.
-    - `cull`: the faces that do not cast. `"front"` moves acne from lit faces to unlit ones, which are dark anyway;
-        light leaks where another surface lies close behind the unlit faces. Use it for closed meshes only: an open mesh
-        loses casters.
+    - `cull`: the faces that do not cast. `"front"` moves acne from lit faces to unlit faces, which are dark anyway.
+      Light leaks where another surface is close behind the unlit faces. Use it only for closed meshes, because an open
+      mesh loses casters.
     - `depth_format`: how depths are stored. Fixed-point depths are rounded to the nearest step, and receivers are
         compared with them at a depth clamped to [0, 1].
     - `polygon_offset`: (factor, units) of OpenGL's polygon offset, a bias stored in the map. Each face is stored deeper
         by `factor · max(|dz/dx|, |dz/dy|) + units · r`, with slopes per texel and `r` the smallest depth difference
         that the format is guaranteed to resolve.
     - `edges`: the mesh's edges, for a map with silhouettes; needs depth layer `"nearest"` and cull `"none"`.
-    - `crossings`: for how many crossings of silhouettes with the sides of texels memory is reserved; a static number,
-        by default from `plan_crossings`. Under a trace, it is required with `edges`.
-    - `raises`: whether more crossings are an error. Otherwise the map's `overflow` says whether there are more
-        crossings. If so, draw again with more memory.
-    - `shift`: (2,), a shift of the grid of texels, in texels: points move by so much along x and y of the map. Points
-        stay within their texel, since the window moves with the grid. `None` for no shift.
+    - `crossings`: the reserved memory, as a number of crossings of silhouettes with the sides of texels. A static
+      number, by default from `plan_crossings`. Inside `jit`, it is required with `edges`.
+    - `raises`: whether more crossings are an error. If not, check the map's `overflow`. If it is set, draw again with
+      more memory.
+    - `shift`: (2,), a shift of the grid of texels, in texels. Points move by this amount along x and y of the map,
+      together with the window. `None` for no shift.
     - `buffer`: as for `rasterize`; ignored with `edges`.
 
     **Raises** `ValueError` if `depth_layer` is unknown; if `edges` are given with a `depth_layer` other than
-    `"nearest"`, with `cull`, under a trace without `crossings`, or for a mesh with an alpha test, whose cut outlines
-    are not edges; if a warped map has `edges` or a `polygon_offset`; if a map with pages or with cascades of several
-    sizes has `edges`; if any of these maps has a `shift`; and what `rasterize` raises. **Raises** a runtime error if
-    the silhouettes have more `crossings`.
+    `"nearest"`, with `cull`, inside `jit` without `crossings`, or for a mesh with an alpha test, because its cut
+    outlines are not edges; if a warped map has `edges` or a `polygon_offset`; if a map with pages or with cascades of
+    several sizes has `edges`; if any of these maps has a `shift`; and what `rasterize` raises. **Raises** a runtime
+    error if the silhouettes have more `crossings`.
 
     !!! Example
 
@@ -86,7 +86,7 @@ def draw_shadow_map(
         ```
     """
     mesh = as_mesh(mesh)
-    # It checks them.
+    # The call checks them.
     settings = MapSettings(resolution, depth_layer, cull, depth_format, polygon_offset)
     view = light.view() if shift is None else light.view().shifted(shift, resolution)
     if polygon_offset is not None and view.warp is not None:
@@ -115,24 +115,24 @@ def draw_shadow_map(
     return ShadowMap(depth, light, depth_format, silhouettes, view=view)
 
 
-# Texels. Larger maps of several views are drawn view by view on a CPU.
+# In texels. Larger maps of several views are drawn view by view on a CPU.
 _MAX_TOGETHER = 1 << 19
 
 
 def _depths(mesh: Mesh, view: View, settings: "MapSettings", buffer: Resolution | None) -> Float[Array, "*l h w"]:
-    """The depths of a map without silhouettes, of the layer that `settings` ask for."""
+    """The depths of a map without silhouettes, of the layer in `settings`."""
     clip = view.clip_vertices(mesh.vertices)
-    # Pages have places in virtual maps of their own; other layers show the virtual map that begins at their corner.
+    # Pages have positions in separate virtual maps. Other layers show the virtual map that begins at their corner.
     viewports = None if view.tile is None or view.pages is not None else jnp.stack([view.tile.size] * 2, axis=-1)
     views: tuple[Any, Any, Any] = clip, view.tile, viewports
     draw = lambda each: _layer_depths(mesh, each[0], each[1], each[2], view, settings, buffer)
     if clip.ndim == 2 or is_on_gpu() or math.prod(settings.resolution) <= _MAX_TOGETHER:
         return draw(views)
-    # Arrays of all views at once do not fit in the cache, and the C library takes arrays of more than 64 MiB from fresh
-    # pages.
+    # Arrays of all views together do not fit into the cache, and the C library takes arrays of more than 64 MiB from
+    # fresh pages.
     if is_traced((clip, mesh)):
         return lax.map(draw, views)
-    # What is ready is copied in this thread, whose memory the C library keeps whatever its size.
+    # Finished arrays are copied in this thread, whose memory the C library keeps at any size.
     return _stacked(jax.block_until_ready([draw(each) for each in _apart(views)]))
 
 
@@ -141,7 +141,7 @@ _stacked = jax.jit(jnp.stack)
 
 @jax.jit
 def _apart(views: tuple[Array, Tile | None, Array | None]) -> list[Any]:
-    """Each of several views."""
+    """The depths of each of several views."""
     of_view = lambda i: jax.tree.map(lambda leaf: leaf[i], views)
     return [of_view(i) for i in range(len(views[0]))]
 
@@ -189,7 +189,7 @@ def _layer_depths(
 def _outlined(
     mesh: Mesh, light: AbstractLight, view: View, settings: "MapSettings", edges: Edges, crossings: int
 ) -> tuple[Float[Array, "*l h w"], SilhouetteMap, Int[Array, ""]]:
-    """The depths and silhouettes of a map, and how many sides of texels the silhouettes cross."""
+    """The depths and silhouettes of a map, and the number of texel sides that the silhouettes cross."""
     clip, test = view.clip_vertices(mesh.vertices), DepthTest(settings.depth_format)
     seen, corners = rasterize_with_corners(
         clip, mesh.faces, settings.resolution, depth_test=test, polygon_offset=settings.polygon_offset
@@ -201,7 +201,7 @@ def _outlined(
 def _stored(
     seen: Fragments, clip: Float[Array, "*m v 4"], faces: Faces, tile: Tile | None, settings: "MapSettings"
 ) -> Float[Array, "*l h w"]:
-    """The depths that the buffer stores, with the derivatives of the faces that are seen."""
+    """The depths in the buffer, with the derivatives of the visible faces."""
     depth = depth_at_centres(seen.face, clip, faces, tile)
     is_plain = settings.depth_format == "float32" and settings.polygon_offset is None
     return depth if is_plain else with_gradient_of(depth, seen.depth)
@@ -212,7 +212,7 @@ def _check_allows_edges(view: View, settings: "MapSettings") -> None:
     if max(settings.resolution) >= MAX_TEXELS:
         raise ValueError(
             f"edges were given for a map of {settings.resolution} texels, (height, width); expected at most "
-            f"{MAX_TEXELS - 1} on a side, since the corners of texels are drawn too: leave edges out, or lower "
+            f"{MAX_TEXELS - 1} per side, because the corners of texels are also drawn: leave edges out, or lower "
             "the resolution"
         )
     if settings.depth_layer != "nearest" or settings.cull != "none":
@@ -228,18 +228,18 @@ def _check_allows_edges(view: View, settings: "MapSettings") -> None:
         )
 
 
-# Pixels along a side. Larger buffers take too much memory, and too much time at each drawing.
+# Pixels per side. Larger buffers take too much memory, and too much time for each drawing.
 _MAX_SHARED = 2049
 
 
 @dataclasses.dataclass(frozen=True)
 class MapSettings:
-    """How a shadow map is drawn; see `draw_shadow_map`.
+    """The settings for drawing a shadow map; see `draw_shadow_map`.
 
     - `silhouettes`: whether the map stores silhouettes. With `None`, it does if lights or meshes are fitted, because
         derivatives with respect to lights and meshes need silhouettes.
 
-    **Raises** `ValueError` for a value that is not allowed.
+    **Raises** `ValueError` for an invalid value.
 
     !!! Example
 
@@ -265,27 +265,27 @@ class MapSettings:
         check_settings(self)
 
     def draw(self, casters: Mesh, light: AbstractLight, **how: Any) -> ShadowMap:
-        """The shadow map of `casters` under `light`; `edges`, `crossings`, `raises` and `shift` are as for
+        """The shadow map of `casters` under `light`. `edges`, `crossings`, `raises` and `shift` are as for
         `draw_shadow_map`."""
         given = {name: value for name, value in vars(self).items() if name != "silhouettes"}
         return draw_shadow_map(casters, light, **given, **how, buffer=self.buffer(self.resolution))
 
     def buffer(self, image: Resolution) -> Resolution | None:
-        """The buffer for `draw_surface` that lets one program draw both the map and an `image` of this size.
+        """The buffer for `draw_surface` with which one program draws both the map and an `image` of this size.
 
-        **Returns** `None` if the image does not fit into the map's buffer, if the map is so large that sharing would
-        not pay, or if the map stores depths in another way than an image, which needs another program.
+        **Returns** `None` if the image does not fit into the map's buffer, if the map is too large for sharing to pay,
+        or if the map stores depths in a different format than an image, which needs another program.
         """
         if self.depth_format != "float32" or self.polygon_offset is not None:
             return None
         height, width = self.resolution
-        # With silhouettes, as in fits of lights or meshes, the corners of texels are drawn too.
+        # With silhouettes, as in fits of lights or meshes, the corners of texels are also drawn.
         size = (height, width) if self.silhouettes is False else (height + 1, width + 1)
         return size if all(n <= side <= _MAX_SHARED for n, side in zip(image, size, strict=True)) else None
 
 
 class MapPlan(eqx.Module):
-    """What a technique needs to draw a scene's shadow map inside `jax.jit`: edges, and memory for silhouettes.
+    """The data that a technique needs to draw a scene's shadow map inside `jax.jit`: edges, and memory for silhouettes.
 
     - `edges`: edges of the casters; `None` for a map without silhouettes.
     - `crossings`, `raises`: as for `draw_shadow_map`.
@@ -297,16 +297,16 @@ class MapPlan(eqx.Module):
 
 
 def plan_crossings(mesh: Mesh, light: AbstractLight, resolution: Resolution, edges: Edges) -> int:
-    """How many sides of texels this map's silhouettes cross, rounded up to a power of two.
+    """The number of texel sides that this map's silhouettes cross, rounded up to a power of two.
 
     **Arguments:** as for `draw_shadow_map`.
 
-    **Raises** `ValueError` under a trace.
+    **Raises** `ValueError` inside `jit`.
     """
     if is_traced((mesh, light, edges)):
         raise ValueError(
             "a shadow map with edges was drawn inside jax.jit (or grad, or vmap) without crossings; expected their "
-            "number, since shapes must be known there: call plan_crossings(...) outside, and pass its result to "
+            "number, because shapes must be known there: call plan_crossings(...) outside, and pass its result to "
             "draw_shadow_map as crossings"
         )
     mesh = mesh.padded()
@@ -328,8 +328,8 @@ def _silhouettes(
     edges: Edges,
     crossings: int,
 ) -> tuple[SilhouetteMap, Int[Array, ""]]:
-    """The silhouettes in a map, and how many sides of texels they cross. If there are more than `crossings`, some are
-    missing."""
+    """The silhouettes in a map, and the number of texel sides that they cross. If there are more than `crossings`, some
+    silhouettes are missing."""
     height, width = depth.shape[-2:]
     outline = Outline.of(clip, mesh, light, edges, (height, width))
     found = find_silhouettes(depth, corners.astype(depth.dtype), outline, crossings)

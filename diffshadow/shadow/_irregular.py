@@ -1,8 +1,8 @@
 """The irregular z-buffer: exact hard shadows at the surface's own points (Johnson et al. 2005; Aila & Laine 2004).
 
-A shadow map's samples lie on a grid of texels, where no surface point is. Here the points that the camera sees,
-projected into the light's view, are the samples themselves, and triangles are tested against these. There are no
-texels, and so no aliasing; there is no bias, since a surface's own face is left out.
+The samples of a shadow map are on a grid of texels and miss the surface points. Here the samples are the visible
+surface points, projected into the light's view. Triangles are tested against them. There are no texels, and therefore
+no aliasing. There is no bias, because the face of a point is left out.
 """
 
 from typing import ClassVar
@@ -35,9 +35,9 @@ class IrregularScene(eqx.Module):
 class IrregularZBuffer(AbstractTechnique):
     """Hard shadows by testing triangles against the surface's points in the light's view.
 
-    Equal to rays traced to the light's centre up to the rounding of the surface's positions. It finds one visibility
-    for each point. For several points per pixel, pass the surface of a camera with more pixels, and average (Wyman,
-    Hoetzlein & Lefohn 2015, "Frustum-traced raster shadows", take 32).
+    The result equals rays traced to the light's centre, up to the rounding of the surface's positions. It has one
+    visibility for each point. For several points per pixel, pass the surface of a camera with more pixels, and average
+    (Wyman, Hoetzlein & Lefohn 2015, "Frustum-traced raster shadows", take 32).
 
     A light's size is ignored. As in a shadow map, a point outside of the light's frustum, or behind a light with a
     cone, is lit and does not count as covered. The frustum's near and far planes clip nothing.
@@ -64,7 +64,7 @@ class IrregularZBuffer(AbstractTechnique):
         return _lit(surface, state.light, hidden)
 
     def covered(self, state: IrregularScene, surface: Surface) -> Mask:
-        """Pixels whose surface lies within the light's frustum, in front of the light, (h, w)."""
+        """Pixels whose surface is within the light's frustum and in front of the light, (h, w)."""
         points, face = surface.position.reshape(-1, 3), surface.face.reshape(-1)
         return seen_points(state.mesh, state.light, points, face).reshape(surface.mask.shape)
 

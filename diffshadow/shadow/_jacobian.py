@@ -1,4 +1,4 @@
-"""How points of a surface move on the screen and in a shadow map, and how the two are related."""
+"""The motion of surface points on the screen and in a shadow map, and the relation of both."""
 
 from collections.abc import Callable
 
@@ -32,12 +32,12 @@ def pixels_per_texel(
     points: VectorMap,
     normals: Float[Array, "k h w 3"],
 ) -> Float[Array, "k h w 2 2"]:
-    """How far points of surfaces move on the screen, in pixels along x and y (rows), if they move by one texel along a
-    map's x and y (columns); 0 where the map sees the surface edge-on.
+    """The motion of surface points on the screen, in pixels along x and y (rows), if they move by one texel along a
+    map's x and y (columns). 0 where the map sees the surface edge-on.
 
     **Arguments:**
 
-    - `pixel`, `texel`: functions from world points (h, w, 3) to places on the screen and in the map, (h, w, 2).
+    - `pixel`, `texel`: functions from world points (h, w, 3) to positions on the screen and in the map, (h, w, 2).
     - `points`: (h, w, 3); `normals`: the normals of each of k surfaces through these points.
     """
     ways = jnp.stack(tangents(normals))
@@ -48,7 +48,7 @@ def pixels_per_texel(
 
 
 def _divided(numerator: Float[Array, "*n 2 2"], denominator: Float[Array, "*n 2 2"]) -> Float[Array, "*n 2 2"]:
-    """B A⁻¹; 0 where A is singular."""
+    """B A⁻¹, or 0 where A is singular."""
     a, b, c, d = (denominator[..., i, j] for i in range(2) for j in range(2))
     adjugate = jnp.stack([jnp.stack([d, -b], axis=-1), jnp.stack([-c, a], axis=-1)], axis=-2)
     product = jnp.sum(numerator[..., :, :, None] * adjugate[..., None, :, :], axis=-2)

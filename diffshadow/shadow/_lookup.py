@@ -1,9 +1,9 @@
-"""Look-ups: where biased receivers sample the map, and the depth they compare with.
+"""Look-ups: the positions where biased receivers sample the map, and the depths that they compare with.
 
-A look-up is a receiver after its bias: a place x and y in texels and a window depth, each (h, w). A kernel reads texels
-around the place, its taps, and compares their stored depths with this depth. With a receiver plane, the depth changes
-from tap to tap by a slope, in window depth per texel, along x and along y, (h, w) each. Everything is elementwise, so
-any shape (*n,) serves in place of (h, w): a chunk of pixels, or a list of gathered ones.
+A look-up is a receiver after its bias: a position x and y in texels and a window depth, each (h, w). A kernel reads
+texels around the position, its taps, and compares their stored depths with this depth. With a receiver plane, the depth
+changes from tap to tap by a slope, in window depth per texel, along x and along y, (h, w) each. All operations are
+elementwise, so any shape (*n,) works instead of (h, w), such as a chunk of pixels or a list of gathered ones.
 """
 
 from collections.abc import Callable
@@ -30,7 +30,7 @@ class Lookup(eqx.Module):
         `texel` (h, w, 2).
     - `depth`: (h, w), the receiver's window depth minus its bias.
     - `depth_per_texel`: (h, w), window depth per texel width, the unit of a soft compare.
-    - `inside`: (h, w), whether the receiver lies in front of the light and before the far plane.
+    - `inside`: (h, w), whether the receiver is in front of the light and closer than the far plane.
     - `slope`: the receiver plane's window depth per texel along x and y, (h, w) each. Each tap compares with the plane
         at the centre of its texel. `None` if all taps compare with the same depth. `Lookup(...)` takes one array (h, w,
         2).
@@ -80,14 +80,14 @@ class Lookup(eqx.Module):
         return eqx.tree_at(moved, self, (x, y, None), is_leaf=lambda leaf: leaf is None)
 
     def of(self, position: tuple[Float[Array, "*n"], ...]) -> "Lookup":
-        """The same look-up with points whose projections are at x and y."""
+        """The same look-up with points whose projections are x and y."""
         return eqx.tree_at(lambda lookup: lookup.position, self, position, is_leaf=lambda leaf: leaf is None)
 
     def depths_within(self, reach: Float[Array, "..."]) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
-        """The least and the greatest depth that texels are compared with, within `reach` texels along x and y."""
+        """The minimum and maximum depth that texels are compared with, within `reach` texels along x and y."""
         if self.slope is None:
             return self.depth, self.depth
-        # Texels' centres may be half a texel farther away; the rest is for rounding.
+        # Texel centres may be half a texel farther away. The rest is for rounding.
         change = (jnp.abs(self.slope[0]) + jnp.abs(self.slope[1])) * (reach + 1)
         low, high = self.depth - change, self.depth + change
         if self.deepest is not None:
@@ -95,7 +95,7 @@ class Lookup(eqx.Module):
         return low, high
 
     def detached(self) -> "Lookup":
-        """The same look-up without derivatives with respect to its place."""
+        """The same look-up without derivatives with respect to its position."""
         return self.at(*lax.stop_gradient((self.x, self.y)))
 
     def with_depths_detached(self) -> "Lookup":
@@ -122,7 +122,7 @@ def look_up(shadow_map: ShadowMap, at: Receiver, terms: BiasTerms) -> Lookup:
         slope = at.slope * at.depth_per_texel[..., None]
         deepest = None if terms.deepening is None else depth + terms.deepening
     if shadow_map.depth_format != "float32":
-        # For fixed-point maps the compared depth is clamped to [0, 1] (OpenGL 4.6, section 8.23.1).
+        # For fixed-point maps, the compared depth is clamped to [0, 1] (OpenGL 4.6, section 8.23.1).
         if slope is None:
             depth = jnp.clip(depth, 0, 1)
         else:
@@ -131,6 +131,6 @@ def look_up(shadow_map: ShadowMap, at: Receiver, terms: BiasTerms) -> Lookup:
 
 
 def within_frustum(lookup: Lookup, shadow_map: ShadowMap) -> Mask:
-    """Whether each receiver falls inside the map rather than on its border, (h, w)."""
+    """Whether each receiver is inside the map and not on its border, (h, w)."""
     height, width = shadow_map.view.facing(lookup.layer).shown(shadow_map.resolution)
     return lookup.inside & (lookup.x >= 0) & (lookup.y >= 0) & (lookup.x <= width) & (lookup.y <= height)

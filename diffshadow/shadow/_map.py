@@ -1,11 +1,11 @@
 """Shadow maps (Williams 1978): the scene's depth as the light sees it.
 
-A map holds, for each texel of the light's image, a window depth at the texel's centre, by default the nearest caster's:
-(h, w), from 0 at the near plane to 1 at the far plane, and 1 where the light sees nothing. Row 0 is the bottom row.
-A light with several views, such as a point light or cascades, has a layer for each: (l, h, w).
+A map stores a window depth at the centre of each texel, by default of the nearest caster: (h, w), from 0 at the near
+plane to 1 at the far plane, and 1 where the light sees nothing. Row 0 is the bottom row. A light with several views,
+such as a point light or cascades, has a layer for each: (l, h, w).
 
-Where outlines are needed, a map also holds the casters' silhouettes within its texels. They give shadows derivatives
-with respect to lights and meshes.
+A map can also store the casters' silhouettes within its texels. They give shadows derivatives with respect to lights
+and meshes.
 """
 
 from typing import Any
@@ -23,7 +23,7 @@ from ..settings.maps import ShadowMap as Settings
 from .silhouettes import SilhouetteMap
 
 Overflow = Bool[Array, ""]
-"""Whether some of a map's silhouettes are missing, since they cross more sides of texels than there is memory for."""
+"""Whether some of a map's silhouettes are missing, because they cross more texel sides than the memory allows."""
 
 
 class ShadowMap(eqx.Module):
@@ -32,14 +32,14 @@ class ShadowMap(eqx.Module):
     - `depth`: (h, w), window depth; 1 where the light sees nothing. Row 0 is the bottom row. (l, h, w) for a light with
         several views, such as a point light.
     - `light`: the light it was drawn from.
-    - `depth_format`: how depths are stored.
+    - `depth_format`: the storage format of depths.
     - `silhouettes`: the casters' outlines within texels; `None` if the map was drawn without edges.
     - `padded`: its depths in an `Atlas`, which look-ups then read instead of padding `depth`.
     - `view`: the light's view, which every program that reads the map needs. The view is computed once with the map.
         For another light, make another map.
-    - `overflow`: whether silhouettes are missing, so that the map is wrong; `None` if drawing raises instead.
-    - `crossings`: how many sides of texels the silhouettes cross, including missing silhouettes; known if `overflow`
-        is.
+    - `overflow`: whether silhouettes are missing, so that the map is wrong; `None` if drawing raises an error instead.
+    - `crossings`: the number of texel sides that the silhouettes cross, including missing silhouettes; known if
+      `overflow` is.
     """
 
     depth: Float[Array, "*l h w"]
@@ -71,7 +71,7 @@ class ShadowMap(eqx.Module):
         return shown_with_values(self)
 
     def _repr_html_(self) -> str | None:
-        """A picture of the depths, dark where they are near. Of several layers, the first."""
+        """A picture of the depths. Near depths are dark. If there are several layers, the first is shown."""
         if not is_known(self):
             return None
         depth = np.asarray(self.depth)

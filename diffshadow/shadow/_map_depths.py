@@ -37,13 +37,13 @@ def unwarped_depth(
     faces: Faces,
     test: DepthTest,
 ) -> Float[Array, "h w"]:
-    """Depth without the warp that the faces were drawn with, as the buffer stores it.
+    """The depth as the buffer stores it, without the warp that the faces were drawn with.
 
-    It is the depth that was drawn, times the warp's divisor at the texel. Interpolated afresh, it has the rounding of
-    other maps.
+    It is the drawn depth times the warp's divisor at the texel. A new interpolation would have the rounding of other
+    maps.
     """
     part = lambda face, rows: interpolate_depth(barycentrics(face, clip, faces, rows), unwarped, faces)
-    # The warp moves the far plane away. What lies beyond it casts no shadow.
+    # The warp moves the far plane away. Surfaces beyond it cast no shadow.
     return _rounded(jnp.minimum(by_bands(part, face), 1), test)
 
 
@@ -55,5 +55,5 @@ def depth_at_centres(
     views = face, clip, tile
     if clip.ndim == 2:
         return of_view(views)
-    # On a CPU one after the other: bands of several images at once do not fit into the cache.
+    # On a CPU one after another, because bands of several images together do not fit into the cache.
     return lax.map(of_view, views, batch_size=chunk_size(1, clip.shape[0]))

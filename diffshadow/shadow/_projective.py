@@ -36,8 +36,8 @@ class ProjectiveTexture(eqx.Module):
         row. (l, h, w) for a light with several views.
     - `light`: the light it was drawn from.
     - `casts`: (f,), whether each face of the scene's mesh belongs to a caster.
-    - `margin`: how many texels on each side lie outside the light's frustum. These texels contain only coverage that
-        the blur spreads there.
+    - `margin`: the number of texels on each side outside the light's frustum. They contain only coverage that the blur
+      spreads there.
     """
 
     coverage: Float[Array, "*l h w"]
@@ -56,12 +56,12 @@ class ProjectiveShadow(AbstractTechnique):
     """Shadows by a projected texture, with bilinear look-ups.
 
     - `resolution`: resolution of the texture, (height, width) in texels.
-    - `blur`: radius of the blur kernel, in texels; up to 0.5 nothing is blurred.
+    - `blur`: radius of the blur kernel, in texels. Up to 0.5, nothing is blurred.
     - `max_blur`: upper bound on `blur`, in texels. Defaults to `blur`, or to 8 if `blur` is traced.
     - `kernel`: `"box"`, whose radius is half its width, `"tent"` or `"gaussian"`, cut off at three standard deviations.
 
-    Differentiable with respect to the blur and to the receivers' places in the texture. Coverage is sampled at texel
-    centres, so it has no derivative with respect to casters or light: do not rely on gradients of their poses.
+    Differentiable with respect to the blur and to the receivers' positions in the texture. Coverage is sampled at texel
+    centres, so it has no derivative with respect to casters or light. Do not rely on gradients of their poses.
 
     **Raises** `ValueError` if `blur` is above `max_blur`.
     """
@@ -92,8 +92,8 @@ class ProjectiveShadow(AbstractTechnique):
     def visibility(self, state: ProjectiveTexture, surface: Surface) -> Visibility:
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
 
-        Casters are lit, and so is everything outside the texture or behind the light. A surface that faces away from
-        the light's centre is dark, including a caster's. Pixels without a surface are lit.
+        Casters are lit, and so is everything outside the texture or behind the light. Surfaces that face away from the
+        light's centre are dark, even on casters. Pixels without a surface are lit.
         """
         light = state.light
         cosine = dot(surface.normal, normalize(light.towards(surface.position)))
@@ -103,7 +103,7 @@ class ProjectiveShadow(AbstractTechnique):
 
     @eqx.filter_jit
     def covered(self, state: ProjectiveTexture, surface: Surface) -> Mask:
-        """Pixels whose surface lies within the light's frustum, (h, w): the texture is projected onto them."""
+        """Pixels whose surface is within the light's frustum, (h, w). The texture is projected onto them."""
         texel, in_front, _ = _project(state, surface)
         height, width = state.resolution
         inside = jnp.all((texel >= 0) & (texel <= jnp.array([width, height])), axis=-1)
@@ -116,7 +116,8 @@ def _blurred(silhouette: Float[Array, "*l h w"], blur: Blur) -> Float[Array, "*l
 
 
 def _project(texture: ProjectiveTexture, surface: Surface) -> tuple[TexelMap, Mask, LayerMap | None]:
-    """Where the light sees each surface point, in texels; whether it is in front of the light; and in which view."""
+    """The position of each surface point in the light's view, in texels; whether it is in front of the light; and the
+    index of the view."""
     layer = texture.light.layer(surface.position)
     texel, _, in_front = project(texture.light.view().facing(layer), texture.resolution, surface.position)
     return texel, in_front, layer

@@ -1,8 +1,8 @@
-"""Receivers: the surface points that are shaded, as the light sees them.
+"""Receivers: the shaded surface points, as the light sees them.
 
-A camera's image of points (h, w, 3), in world units, is projected into the light's view. Each point gets a place in the
-map (h, w, 2), in texels, with the centre of the first texel at (0.5, 0.5), a window depth (h, w), in [0, 1] within the
-light's depth range, and a layer (h, w) if the map has several. It also gets the inputs of a bias: the cosine to the
+A camera's image of points (h, w, 3), in world units, is projected into the light's view. Each point gets a position in
+the map (h, w, 2), in texels, with the centre of the first texel at (0.5, 0.5), a window depth (h, w), in [0, 1] within
+the light's depth range, and a layer (h, w) if the map has several. It also gets the inputs of a bias: the cosine to the
 light, the width of a texel in world units, and the receiver plane's depth slope in the map, (h, w, 2). Pixels without a
 surface have finite dummy values.
 """
@@ -21,10 +21,10 @@ from ._map import ShadowMap
 
 # Points closer to the light's plane than this fraction of its near distance count as behind it.
 _BESIDE = 1e-3
-# Slopes are clamped to this (89.4°): grazing light would need an infinite bias.
+# Slopes are clamped to this value (89.4°), because grazing light would need an infinite bias.
 _MAX_SLOPE = 100.0
-# Positions, normals and stored depths are each rounded a few times. The measured sum is 3 units in the last place, and
-# 8 where triangles are a hundred times as wide as the map.
+# Positions, normals and stored depths are each rounded a few times. The measured sum is 3 units in the last place, or 8
+# if triangles are a hundred times as wide as the map.
 _ROUNDINGS = 8
 
 
@@ -33,7 +33,7 @@ class Receiver(eqx.Module):
 
     - `position`: (h, w, 3), world units; `normal`: (h, w, 3), unit, geometric.
     - `cosine`: (h, w), cosine of the angle between the normal and the direction to the light's centre.
-    - `texel`: (h, w, 2), its place in the map, x and y in texels; `depth`: (h, w), its window depth.
+    - `texel`: (h, w, 2), its position in the map, x and y in texels; `depth`: (h, w), its window depth.
     - `in_front`: (h, w), whether it is in front of the light.
     - `texel_size`: (h, w), width of a shadow-map texel there, in world units.
     - `depth_per_texel`: (h, w), change of window depth over that length along the light's axis.
@@ -42,8 +42,8 @@ class Receiver(eqx.Module):
         the receiver's plane under a kernel), in window depth.
     - `distance`: (h, w), distance along the light's axis, 0 at the map's near plane and 1 at its far plane;
         `depth_range`: the distance between these planes, in world units.
-    - `stored`: (h, w), the map's window depth at the texel that it falls in; 1 beyond the map.
-    - `layer`: (h, w), the number of the light's map in which it lies; `None` if there is only one.
+    - `stored`: (h, w), the map's window depth at its texel; 1 beyond the map.
+    - `layer`: (h, w), the index of its map; `None` if the light has only one map.
     """
 
     position: VectorMap
@@ -67,12 +67,12 @@ def receiver(shadow_map: ShadowMap, surface: Surface, layer: Int[Array, "h w"] |
 
     **Arguments:**
 
-    - `layer`: (h, w), the number of the light's map in which each point lies; by default from the light's `layer`.
+    - `layer`: (h, w), the index of each point's map; by default from the light's `layer`.
     """
     layer = shadow_map.light.layer(surface.position) if layer is None else layer
     view = shadow_map.view.facing(layer)
     eye = transform_points(view.world_to_eye, surface.position)[..., :3]
-    # Behind a spot light the result is unused, but must not divide by zero.
+    # Behind a spot light, the result is unused, but must not divide by zero.
     ahead = jnp.maximum(-eye[..., 2], view.near) if view.is_perspective else -eye[..., 2]
     distance = jnp.where(surface.mask, ahead, view.far)
     texel, depth, in_front = project(view, shadow_map.resolution, surface.position)
@@ -101,7 +101,7 @@ def receiver(shadow_map: ShadowMap, surface: Surface, layer: Int[Array, "h w"] |
 def is_in_front(view: View, w: Float[Array, "*n"]) -> Bool[Array, "*n"]:
     """Whether points are in front of the light, according to `w` of their clip coordinates.
 
-    Points in a spot light's own plane do not count as in front, since the divide overflows there and nothing so close
+    Points in the plane of a spot light do not count as in front, because the divide overflows there. Nothing so close
     to the light casts a shadow.
     """
     return w > (_BESIDE * view.near if view.is_perspective else 0)
@@ -119,7 +119,7 @@ def project(view: View, resolution: Resolution, position: VectorMap) -> tuple[Te
     x, y = window(0) * width, window(1) * height
     if view.tile is not None:
         x, y = x - view.tile.origin[..., 0], y - view.tile.origin[..., 1]
-    # One coordinate at a time: XLA elides a stack that is taken apart again.
+    # One coordinate at a time, because XLA elides a stack that is taken apart again.
     return jnp.stack([x, y], axis=-1), depth, in_front
 
 
@@ -136,8 +136,8 @@ def _slope(
     """The receiver planes' depth slope per texel along the map's x and y, in units of `texel_size`.
 
     It is `n_xy / -(n · r)`, with `n` the plane's normal and `r` the ray through the point per unit of distance along
-    the axis, both in eye space. This holds for perspective and parallel rays alike, since window depth is linear in the
-    window over a plane. In a warped map it is linear to first order.
+    the axis, both in eye space. This is valid for perspective and parallel rays, because window depth is linear in the
+    window over a plane. In a warped map, it is linear to first order.
     """
     n = transform_vectors(view.world_to_eye, normal)
     along = eye / distance[..., None] if view.is_perspective else jnp.array([0.0, 0.0, -1.0])
@@ -160,8 +160,8 @@ def _rounding(
 ) -> Float[Array, "h w"]:
     """Bound on the rounding error of the receiver plane's depth, under a kernel as wide as the map.
 
-    Coordinates have a relative error, and so have points of the plane. An error across the plane becomes an error of
-    depth that grows with the plane's slope. A fixed-point map adds half a step.
+    Coordinates and points of the plane have a relative error. An error across the plane becomes an error of depth that
+    grows with the plane's slope. A fixed-point map adds half a step.
     """
     position, eye, distance, texel_size, slope = lax.stop_gradient((position, eye, distance, texel_size, slope))
     size = lambda x: jnp.max(jnp.abs(x), axis=-1)
@@ -173,7 +173,7 @@ def _rounding(
 
 
 def half_step(depth_format: DepthFormat) -> Float[Array, ""]:
-    """Half the difference of two neighbouring depths that a map of this format stores; 0 for floating point."""
+    """Half the difference of two neighbouring depths in a map of this format; 0 for floating point."""
     return as_float(0) if depth_format == "float32" else DepthTest(depth_format).decode(as_float(0.5))
 
 

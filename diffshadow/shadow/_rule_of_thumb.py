@@ -1,4 +1,4 @@
-"""The bias that holds over many scenes with a filter."""
+"""The rule of thumb for the bias of a filter."""
 
 import math
 
@@ -13,8 +13,9 @@ from .filters import AbstractFilter
 def bias_for(filter: AbstractFilter, plane: AbstractBias | None = None, *, across: float = math.inf) -> Bias:
     """The bias for a filter that works in many scenes. A configuration without a bias uses this rule.
 
-    It is a rule of thumb, measured over a collection of scenes: a constant bias, a slope bias and, under wide filters,
-    a normal offset. A fit to a scene has less error. The documentation's page on rules of thumb has figures.
+    The rule of thumb was measured over a collection of scenes. It has a constant bias, a slope bias and, under wide
+    filters, a normal offset. A fit to a scene has a lower error. The documentation's page on rules of thumb has
+    figures.
 
     **Arguments:**
 
@@ -38,8 +39,8 @@ def bias_for(filter: AbstractFilter, plane: AbstractBias | None = None, *, acros
     reach = filter.reach
     if reach is None and issubclass(filter.settings, rules.MEASURED):
         raise ValueError(
-            "bias_for was called inside jax.jit (or grad, or vmap) for a filter whose radius is traced; expected a "
-            "radius that is known: make the bias outside"
+            "bias_for was called inside jax.jit (or grad, or vmap) for a filter with a traced radius; expected a "
+            "known radius: make the bias outside"
         )
     numbers = rules.bias_of(filter.settings, reach or 0.0, plane=plane is not None, across=across)
     return Bias(*numbers, plane=plane)

@@ -1,7 +1,7 @@
-"""Parts of shaders: what a bias, a compare or a filter is in a shader, in the language that all exports come from.
+"""Parts of shaders: a bias, a compare or a filter in the common language of all exports.
 
-That language is GLSL with a few rules, so that it can be turned into other languages line by line; see `shaders`. The
-text of a part is in a file beside the part's Python module, and its numbers are constants that stand above it.
+This language is GLSL with a few rules that allow a translation to other languages line by line; see `shaders`. The text
+of a part is in a file in the same folder as the part's Python module. Its numbers are constants before the text.
 """
 
 from collections.abc import Iterable, Sequence
@@ -14,9 +14,9 @@ Value = bool | int | float | tuple[float, ...]
 
 
 class Constant(NamedTuple):
-    """A number of a shader, or an array of numbers, whose name gets the prefix `SHADOW_`.
+    """A number of a shader, or an array of numbers. Its name gets the prefix `SHADOW_`.
 
-    - `about`: what it is, with its unit.
+    - `about`: its description, with its unit.
     """
 
     name: str
@@ -25,7 +25,7 @@ class Constant(NamedTuple):
 
 
 class ShaderPart(NamedTuple):
-    """Functions of a shader, and the constants that they use.
+    """Functions of a shader, and their constants.
 
     - `textures`: names of the textures that `shadow_filter` reads in addition to the map.
     """
@@ -39,9 +39,9 @@ class ShaderBias(NamedTuple):
     """A bias in a shader. Its expressions may use `at`, a `ShadowReceiver`.
 
     - `depths`: expressions whose sum is subtracted from the receiver's window depth.
-    - `offsets`: expressions whose sum is how far the receiver moves along its normal, in texels.
-    - `follows_plane`: whether each texel is compared with the receiver's plane; `deepest`: how much deeper the plane
-        may be than the receiver, in window depth; none if there is no bound.
+    - `offsets`: expressions whose sum is the shift of the receiver along its normal, in texels.
+    - `follows_plane`: whether each texel is compared with the receiver's plane; `deepest`: the maximum distance of the
+      plane behind the receiver, in window depth; `None` for no bound.
     """
 
     part: ShaderPart = ShaderPart((), "")
@@ -52,7 +52,7 @@ class ShaderBias(NamedTuple):
 
 
 def constants_of(*each: tuple[str, Any, str]) -> tuple[Constant, ...]:
-    """Constants, each from a name, a value and its meaning; constants whose value is none are left out."""
+    """Constants, each from a name, a value and its description. Constants with the value `None` are left out."""
     return tuple(Constant(name, number(value), about) for name, value, about in each if value is not None)
 
 
@@ -73,7 +73,7 @@ def text_of(*names: str) -> str:
 
 
 def joined(parts: Iterable[ShaderPart]) -> ShaderPart:
-    """Several parts as one."""
+    """Several parts combined."""
     each: Sequence[ShaderPart] = tuple(parts)
     constants = tuple(constant for part in each for constant in part.constants)
     textures = tuple(texture for part in each for texture in part.textures)

@@ -26,16 +26,16 @@ from .biases import AbstractBias
 from .filters import AbstractFilter
 from .layouts import AbstractLayout, SingleMap
 
-# A texel position so far outside the map that no filter reaches it.
+# A texel position so far outside the map that no filter reaches the map.
 _NOWHERE = -1e6
-# Which faces are left by `MapSettings.cull`.
+# The faces that remain with each `MapSettings.cull`.
 _LEFT: Mapping[Cull, Side] = {"none": "double", "back": "front", "front": "back"}
 
 
 class ShadowMapping(AbstractTechnique):
     """Shadow mapping (Williams 1978).
 
-    - `filter`: where the map is tapped, and how the taps are weighted.
+    - `filter`: the positions and the weights of the taps.
     - `bias`: keeps surfaces from shadowing themselves (acne).
     - `compare`: how depths are compared.
     - `map`: how the map is drawn.
@@ -71,7 +71,8 @@ class ShadowMapping(AbstractTechnique):
 
     @property
     def reach(self) -> float | None:
-        """How far from a receiver the map is read, in texels, including the normal offset; `None` if not known."""
+        """The distance from a receiver to the farthest texel that is read, in texels, including the normal offset.
+        `None` if unknown."""
         return None if self.filter.reach is None else self.filter.reach + self.bias.reach
 
     @property
@@ -82,15 +83,15 @@ class ShadowMapping(AbstractTechnique):
     def plan(
         self, scene: Scene, surface: Surface | None = None, *, margin: float = 2.0, raises: bool = True
     ) -> MapPlan:
-        """What `prepare` needs inside `jax.jit` for scenes with the same faces, which may move or be lit by other
+        """The plan for `prepare` inside `jax.jit`, for scenes with the same faces, which may move or be lit by other
         lights.
 
         **Arguments:**
 
         - `surface`: as for `prepare`.
         - `margin`: the memory, as a multiple of the memory for the silhouettes of this scene.
-        - `raises`: whether a map with more silhouettes is an error. Otherwise `ShadowMap.overflow` says whether a map
-            has more.
+        - `raises`: whether a map with more silhouettes is an error. If not, `ShadowMap.overflow` says whether a map has
+          more.
 
         **Raises** `ValueError` inside `jax.jit`, and the errors of the layout.
         """
@@ -108,9 +109,9 @@ class ShadowMapping(AbstractTechnique):
 
         **Arguments:**
 
-        - `plan`: needed inside `jax.jit`, `grad` or `vmap` for a map with silhouettes; made outside by `plan`.
-
-        **Raises** the errors of `draw_shadow_map` and of the layout, and `ValueError` if a needed plan is missing.
+        - `plan`: the result of `plan`, computed outside. Required inside `jax.jit`, `grad` or `vmap` for a map with
+          silhouettes. **Raises** the errors of `draw_shadow_map` and of the layout, and `ValueError` if a required plan
+          is missing.
         """
         if self.map.silhouettes and plan is None and is_traced(scene):
             raise ValueError(
@@ -134,7 +135,7 @@ class ShadowMapping(AbstractTechnique):
 
         - `surface`: as for `prepare`.
 
-        **Raises** what the layout raises.
+        **Raises** the errors of the layout.
         """
         if self.layout.needs_surface and surface is None:
             surface = draw_surface(scene.mesh, scene.camera)
@@ -149,12 +150,12 @@ class ShadowMapping(AbstractTechnique):
         return _visibility(self.layout, self.filter, self.bias, self.compare, state, surface)
 
     def covered(self, state: ShadowMap, surface: Surface) -> Mask:
-        """Pixels whose surface lies within the light's frustum, (h, w): the map covers them."""
+        """Pixels whose surface is within the light's frustum, (h, w). The map covers them."""
         return _covered(self.layout, self.bias, state, surface)
 
     def shift(self, state: ShadowMap, surface: Surface) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
-        """How far the bias moves the surface at each pixel along the light's axis, (h, w), 0 outside the map; and the
-        width of a texel there, (h, w). Both are in world units."""
+        """The distance by which the bias moves the surface at each pixel along the light's axis, (h, w), 0 outside the
+        map; and the width of a texel there, (h, w). Both are in world units."""
         return _shift(self.layout, self.bias, state, surface)
 
     def casting_sides(self, scene: Scene) -> tuple[Side | None, ...]:
@@ -166,7 +167,7 @@ class ShadowMapping(AbstractTechnique):
         return part == "layout" and number not in self.layout.differentiable
 
     def aliasing(self, state: ShadowMap, surface: Surface, camera: AbstractCamera) -> Aliasing:
-        """How large the map's texels are on the screen of `camera`, which sees `surface`."""
+        """The size of the map's texels on the screen of `camera`, which sees `surface`."""
         return _aliasing(self.layout, state, surface, camera)
 
 
@@ -175,7 +176,7 @@ def _aliasing(layout: AbstractLayout, shadow_map: ShadowMap, surface: Surface, c
     return aliasing(shadow_map, surface, camera, layout.choose(shadow_map.light, surface.position))
 
 
-# These take no map settings: the compiled programs do not depend on them.
+# These take no map settings, so the compiled programs do not depend on them.
 @eqx.filter_jit
 def _visibility(
     layout: AbstractLayout,
@@ -194,8 +195,8 @@ def _visibility(
         # Inactive pixels look far outside the map, where no work is done.
         place = lambda lookup: (lookup.x, lookup.y)
         lookup = eqx.tree_at(place, lookup, [jnp.where(active, at, _NOWHERE) for at in place(lookup)])
-        # Barrier: otherwise XLA recomputes the projection for every tap. One barrier per array, so that arrays without
-        # a derivative do not get one.
+        # Without the barrier, XLA recomputes the projection for every tap. There is one barrier per array, so that
+        # arrays without a derivative do not get one.
         lookup = jax.tree.map(lax.optimization_barrier, lookup)
         lit = in_unit_range(filter(shadow_map, lookup, compare))
         return jnp.where(active, lit, 1), faces_away

@@ -1,4 +1,4 @@
-"""Techniques: algorithms that find which surfaces a light reaches."""
+"""Techniques: algorithms that find the surfaces that a light reaches."""
 
 import abc
 from collections.abc import Sequence
@@ -30,8 +30,8 @@ class AbstractTechnique(CheckedModule):
 
         **Arguments:**
 
-        - `surface`: the surface that `scene.camera` sees, for techniques that fit their maps to it. Such techniques
-            draw the surface themselves if it is left out. All other techniques ignore it.
+        - `surface`: the surface that `scene.camera` sees, for techniques that fit their maps to it. By default they
+          draw it themselves. All other techniques ignore it.
 
         **Raises** `ValueError` if the scene has several lights, see `Scene.lit_by`.
         """
@@ -52,13 +52,13 @@ class AbstractTechnique(CheckedModule):
         technique's maps."""
 
     def casting_sides(self, scene: Scene) -> tuple[Side | None, ...]:
-        """The faces of each mesh that cast shadows, by the side that the light sees; `None` for a mesh that does not
+        """The faces of each mesh that cast shadows, by the side that the light sees. `None` for a mesh that does not
         cast."""
         return of_casters(["double" for _ in scene.meshes], scene)
 
 
 def of_casters(sides: Sequence[Side], scene: Scene) -> tuple[Side | None, ...]:
-    """The `sides` of meshes that cast, and none for other meshes."""
+    """The `sides` of meshes that cast, and `None` for other meshes."""
     return tuple(one if casts else None for one, casts in zip(sides, scene.casts or (True,) * len(sides), strict=True))
 
 

@@ -1,12 +1,12 @@
-"""Shadow volumes (Crow 1977): the space that casters hide from a light, and whether surfaces lie inside it.
+"""Shadow volumes (Crow 1977): the space that casters hide from a light, and a test for surfaces inside it.
 
 Every caster's silhouette is extruded away from the light to infinity. A surface is shadowed if a view ray enters more
 volumes than it leaves before it hits the surface; a stencil buffer counts them (Heidmann 1991). No map is sampled, so
 the shadows are exact up to the rounding of the rasterizer.
 
-Of a solid (closed, with the light outside), the faces that face the light count. In any other mesh (open,
-self-intersecting or non-manifold), every face that faces away is flipped, edges shared by faces of opposite winding
-cancel, and each remaining edge is extruded as many times as it remains (Kim, Kim & Hong 2008, "A shadow volume
+In a solid (closed, with the light outside), the faces towards the light count. In any other mesh (open,
+self-intersecting or non-manifold), every face away from the light is flipped. Edges of faces with opposite winding
+cancel, and each remaining edge is extruded once for each time that it remains (Kim, Kim & Hong 2008, "A shadow volume
 algorithm for opaque and transparent non-manifold casters").
 """
 
@@ -45,10 +45,10 @@ from ..settings.techniques import VolumeMethod
 from ._technique import AbstractTechnique
 from ._whole_faces import check_whole_faces
 
-# Surfaces are moved this much nearer, in window depth, so that coplanar caps lie behind them despite rounding. It is
-# thousands of times the rounding error of float64, and 1/65,000 of float32's.
+# Surfaces are moved closer by this distance, in window depth, so that coplanar caps are behind them despite rounding.
+# It is thousands of times the rounding error of float64, and 1/65,000 of float32's.
 _BEFORE = 2.0**-40
-# A parallel projection cannot show points at infinity, so volumes end this many far distances away.
+# A parallel projection cannot show points at infinity, so volumes end at this many far distances.
 _NEARLY_INFINITE = 2.0**20
 # The light counts as outside a solid that subtends less than this fraction of the sphere of directions around it.
 _OUTSIDE = 0.25
@@ -57,7 +57,7 @@ _OUTSIDE = 0.25
 class VolumeScene(eqx.Module):
     """The input of shadow volumes.
 
-    - `casters`: visible, and cast shadows. Volumes are watertight if coincident vertices are bitwise equal.
+    - `casters`: visible surfaces that cast shadows. Volumes are watertight if coincident vertices are bitwise equal.
     - `light`, `camera`: the light that extrudes the volumes, and the camera that sees them.
     - `edges`: edges of `casters`.
     - `receivers`: surfaces that are visible but cast no shadow, or `None`.
@@ -75,7 +75,7 @@ class Volumes(eqx.Module):
 
     - `clip`: (v, 4), vertices: first the casters' own, then those at infinity.
     - `faces`: (t, 3), anticlockwise seen from outside if the weight is positive, clockwise if it is negative.
-    - `weights`: (t,), how many times each face counts; 0 for faces that are not part of a volume.
+    - `weights`: (t,), the multiplicity of each face; 0 for faces that are not part of a volume.
     """
 
     clip: ClipVertices
@@ -87,15 +87,13 @@ class ShadowVolumes(AbstractTechnique):
     """Hard shadows by counting the shadow volumes around each visible surface point.
 
     - `method`: the faces of volumes that are counted. `"z_fail"`: faces at or behind the surface, with volumes capped
-        at both ends (Bilodeau & Songy 1999; Carmack 2000); correct for every position of the eye. `"z_pass"`: faces in
-        front of the surface, without caps; cheaper, but wrong if the eye is inside a volume or the near plane cuts a
-        volume.
+      at both ends (Bilodeau & Songy 1999; Carmack 2000). It is correct for every position of the eye. `"z_pass"`: faces
+      in front of the surface, without caps. It is cheaper, but wrong if the eye is inside a volume or the near plane
+      cuts a volume.
 
-    Every light counts as a point light or a directional light: a spot light's cone is ignored, and so is a light's
-    size.
-
-    A mesh that does not cast stops neither light nor shadow. A caster's shadow falls on such a wall, and again on
-    surfaces behind the wall (a "ghost shadow"). Let the wall cast to avoid this.
+    Every light counts as a point light or a directional light. The cone of a spot light and the size of a light are
+    ignored. A mesh that does not cast blocks neither light nor shadow. A caster's shadow falls on such a wall, and
+    again on surfaces behind the wall (a "ghost shadow"). Let the wall cast to avoid this.
 
     The counts are integers and have no gradient.
     """
@@ -107,7 +105,7 @@ class ShadowVolumes(AbstractTechnique):
     def prepare(self, scene: Scene, surface: Surface | None = None) -> VolumeScene:
         """The scene's casters with their edges. It does not depend on `surface`, and cannot be used inside `jax.jit`.
 
-        Edges depend on the mesh alone: to draw one mesh many times, find them once.
+        Edges depend only on the mesh. To draw one mesh many times, find them once.
 
         **Raises** `ValueError` if a mesh has an alpha test, whose cut outlines extrude no volumes.
         """
@@ -116,7 +114,7 @@ class ShadowVolumes(AbstractTechnique):
         return VolumeScene(casters, scene.light, scene.camera, Edges.of(casters), scene.receivers)
 
     def counts(self, state: VolumeScene) -> Int[Array, "h w"]:
-        """How many shadow volumes each visible surface point lies in, (h, w); row 0 is the bottom row.
+        """The number of shadow volumes that contain each visible surface point, (h, w). Row 0 is the bottom row.
 
         For a solid, each face between light and point counts if it faces the light. For an open mesh, each face between
         light and point counts. The count is undefined at pixels without a surface.
@@ -131,7 +129,7 @@ class ShadowVolumes(AbstractTechnique):
 
         **Arguments:**
 
-        - `surface`: ignored, since the faces that the state's camera sees are drawn again, in double precision.
+        - `surface`: ignored, because the faces that the state's camera sees are drawn again in double precision.
         """
         found = self._count(state)
         return as_float((found.counts == 0) & found.lit_side | ~found.seen)
@@ -141,7 +139,7 @@ class ShadowVolumes(AbstractTechnique):
         return surface.mask
 
     def _count(self, state: VolumeScene) -> "_SeenCounts":
-        # The view is bitwise the view that draws surfaces. All else is in double precision: a volume's side may
+        # The view is bitwise the view that draws surfaces. The rest is in double precision, because a volume's side may
         # pass closer to a surface than single-precision depths can resolve.
         view = state.camera.view()
         with jax.enable_x64(True):
@@ -173,9 +171,9 @@ def shadow_volumes(
 
 
 class _Drawing(eqx.Module):
-    """What is drawn, in float64: the visible meshes, (v, 4) and (f, 3), and the volumes.
+    """The drawn geometry, in float64: the visible meshes, (v, 4) and (f, 3), and the volumes.
 
-    - `visible`: (v, 4), the visible meshes in `drawn_view`, which need not have the volumes' window depths.
+    - `visible`: (v, 4), the visible meshes in `drawn_view`. Their window depths may differ from the volumes'.
     - `lit_side`: (f,), whether camera and light see the same side of a face.
     - `farthest`: window depth of the camera's own far plane.
     """
@@ -190,7 +188,7 @@ class _Drawing(eqx.Module):
 
 class _Seen(eqx.Module):
     """The surface at each pixel, all (h, w): its depth in float64; whether the camera sees its lit side; and whether
-    there is a surface before the far plane."""
+    there is a surface in front of the far plane."""
 
     depth: DepthMap
     lit_side: Mask
@@ -198,7 +196,7 @@ class _Seen(eqx.Module):
 
 
 class _SeenCounts(eqx.Module):
-    """As `_Seen`, with the number of volumes instead of the depth."""
+    """Like `_Seen`, with the number of volumes instead of the depth."""
 
     counts: Int[Array, "h w"]
     lit_side: Mask
@@ -223,14 +221,14 @@ def _drawing(
 
 @eqx.filter_jit
 def _behind(face: FaceMap, drawing: _Drawing) -> _Seen:
-    """The surface at each pixel, given its face (h, w)."""
+    """The surface at each pixel, from its face (h, w)."""
     at = barycentrics(face, drawing.clip, drawing.faces)
     depth = interpolate_depth(at, drawing.clip, drawing.faces)
     return _Seen(depth - _BEFORE, drawing.lit_side[at.face], at.mask & (depth <= drawing.farthest))
 
 
 def _endless(view: View) -> View:
-    """The view with its far plane at infinity; a parallel view is returned as it is."""
+    """The view with its far plane at infinity. A parallel view is returned unchanged."""
     if not view.is_perspective:
         return view
     return eqx.tree_at(lambda view: view.eye_to_clip, view, infinite_far(view.eye_to_clip, view.near))
@@ -253,14 +251,15 @@ def _volumes(clip: ClipVertices, casters: Mesh, light: AbstractLight, view: View
         back = [casters.faces + count]
     weights = [outline.multiplicity] * len(sides)
     if caps:
-        # Caps keep the faces' vertex order whatever their orientation, so that their depths equal the visible faces'.
+        # Caps keep the faces' vertex order in any orientation, so that their depths equal the visible faces'.
         sides += [casters.faces, *back]
         weights += [orientation, -orientation][: 1 + len(back)]
     return Volumes(jnp.concatenate([clip, ends]), jnp.concatenate(sides), jnp.concatenate(weights))
 
 
 def _orientation(casters: Mesh, light: AbstractLight, edges: Edges) -> Int[Array, " f"]:
-    """How each face counts: for solids, 1 if it faces the light, else 0; for other meshes, -1 if it must be flipped."""
+    """The weight of each face. For solids, 1 if it faces the light and 0 otherwise; for other meshes, -1 if it must be
+    flipped."""
     sides = light_sides(casters, light)
     is_solid = edges.solid
     if not light.is_directional:
@@ -269,7 +268,7 @@ def _orientation(casters: Mesh, light: AbstractLight, edges: Edges) -> Int[Array
 
 
 def _surrounds(casters: Mesh, light: AbstractLight, edges: Edges) -> Bool[Array, " c"]:
-    """Whether the light lies inside each component, by the component's solid angle as seen from the light.
+    """Whether the light is inside each component, from the component's solid angle as seen from the light.
 
     Van Oosterom & Strackee 1983, "The solid angle of a plane triangle".
     """

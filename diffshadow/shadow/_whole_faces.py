@@ -1,4 +1,4 @@
-"""Techniques that need whole faces, which no alpha test cuts."""
+"""Techniques that need whole faces without an alpha test."""
 
 from ..geometry import Mesh
 
@@ -6,7 +6,7 @@ from ..geometry import Mesh
 def check_whole_faces(casters: Mesh, what: str, mend: str) -> None:
     """**Raises** `ValueError` if an alpha test cuts out parts of `casters`.
 
-    **Arguments:** `what`: what uses the outlines of whole faces, a plural; `mend`: how to avoid it.
+    **Arguments:** `what`: the user of whole faces' outlines, a plural; `mend`: how to avoid it.
     """
     if casters.alpha_test is not None:
         raise ValueError(

@@ -1,4 +1,4 @@
-"""Sampling patterns: where the taps of a disk lie. A pattern is a function that returns a `Pattern`."""
+"""Sampling patterns, the positions of taps on a disk. A pattern is a function that returns a `Pattern`."""
 
 import math
 
@@ -16,14 +16,15 @@ from ..settings.patterns import Pattern as Settings
 from ..settings.patterns import Vogel as VogelSettings
 
 EARLY_SAMPLES = 8
-"""How many samples, from the first, an early-out takes."""
+"""The number of first samples that an early-out takes."""
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 """In radians: the smaller part of a full turn divided by the golden ratio."""
 # Squared minimum distance of Poisson-disk points, as a fraction of the area per point. Random dart throwing saturates
 # near 0.7.
 _TIGHTNESS = 0.6
 _ROUNDS = 30
-# Points in the square that sets are cut from: the minimum, and the number per sample, so that the square holds a disk.
+# Points in the square that sets are cut from: the minimum, and the number per sample, so that the square contains a
+# disk.
 _MIN_POINTS, _POINTS_A_SAMPLE = 1024, 4
 _BITS = 32
 
@@ -32,7 +33,7 @@ class Pattern(eqx.Module):
     """A set of points in the unit disk for each pixel.
 
     - `offsets`: (n, p, p, 2), `n` points for each pixel of a tile of `p` by `p` pixels, which repeats over the image.
-        They carry no gradient. An early-out takes the first 8, which lie far out and in all directions.
+        They carry no gradient. An early-out takes the first 8, which are near the rim and in all directions.
     - `rotated`: whether each pixel rotates its set by its own angle, from interleaved gradient noise (Jimenez, "Next
         Generation Post Processing in Call of Duty: Advanced Warfare", SIGGRAPH 2014).
 
@@ -57,7 +58,7 @@ def interleaved_gradient_noise(shape: tuple[int, ...], first: float = 0.0) -> Fl
     """Noise in [0, 1) for the pixels of an image of `shape` (h, w), evenly spread over any 3 x 3 pixels.
 
     After Jimenez (2014), as cited for `Pattern`. `first` is the value of both coordinates of the lower left pixel: 0.5
-    where pixels are at their centres.
+    if coordinates are at pixel centres.
     """
     height, width = shape
     x, y = (jnp.arange(size, dtype=jnp.float32) + first for size in (width, height))
@@ -122,7 +123,7 @@ def stratified(
     v = np.maximum(inner[ring], 0) + jitter[..., 1] * angles[ring] / count
     points = to_disk(np.stack([u, v], axis=-1), "polar")
     if angles[0] > EARLY_SAMPLES:
-        # Otherwise the first samples would all lie on one side of the ring.
+        # Otherwise, the first samples would all be on one side of the ring.
         points = _outer_first(points)
     return Pattern(as_float(np.moveaxis(points, 2, 0)), rotated)
 
@@ -175,7 +176,7 @@ def halton(
     """
     _check_counts(samples, pattern_size)
     rng = np.random.default_rng(seed)
-    from scipy.stats import qmc  # here, since it takes long to load
+    from scipy.stats import qmc  # Imported here, because it is slow to load.
 
     sets = [qmc.Halton(2, scramble=True, rng=rng).random(samples) for _ in range(pattern_size**2)]
     points = np.reshape(sets, (pattern_size, pattern_size, samples, 2))
@@ -202,7 +203,7 @@ def sobol(
     """
     _check_counts(samples, pattern_size)
     rng = np.random.default_rng(seed)
-    from scipy.stats import qmc  # here, since it takes long to load
+    from scipy.stats import qmc  # Imported here, because it is slow to load.
 
     plain = qmc.Sobol(2, scramble=False, bits=_BITS).random_base2(math.ceil(math.log2(samples)))[:samples]
     seeds = rng.integers(1 << _BITS, size=(pattern_size, pattern_size, 1, 2), dtype=np.uint32)
@@ -248,7 +249,7 @@ def poisson_disk(
     centers = rng.random((pattern_size**2, 1, 2))
     distance, nearest = map(np.asarray, KDTree(darts, boxsize=1).query(centers[:, 0], samples + 1))
     aside = darts[nearest[:, :-1]] - centers
-    # The disk's rim lies midway between the last point inside and the first one outside.
+    # The disk's rim is midway between the last point inside and the first point outside.
     radius = distance[:, -2:].mean(axis=1)[:, None, None]
     points = (aside - np.round(aside)) / radius
     return _pattern_of(points.reshape(pattern_size, pattern_size, samples, 2), rotated)

@@ -1,4 +1,4 @@
-"""Runs: from a configuration to a folder of numbers, images and a report."""
+"""Runs: from a configuration to a folder with numbers, images and a report."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any

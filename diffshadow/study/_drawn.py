@@ -1,4 +1,4 @@
-"""A scene as it was drawn, which runs pass on to pages and remarks."""
+"""A drawn scene. Runs pass it to pages and remarks."""
 
 from typing import Any, NamedTuple
 
@@ -14,10 +14,10 @@ class Drawn(NamedTuple):
 
     - `key`: key of the light, such as `"scene.light"`.
     - `scene`: the scene with only that light.
-    - `surface`: what the camera sees; of many views, `without_looks`.
-    - `stored`: the technique's state for the light, or where an atlas has it.
-    - `mask`: (h, w), the pixels that count: where raster and reference see a surface, and the technique covers it.
-    - `remarks`: on the scene's files.
+    - `surface`: the surface that the camera sees; with many views, `without_looks`.
+    - `stored`: the technique's state for the light, or its position in an atlas.
+    - `mask`: (h, w), the pixels that count: raster and reference see a surface there, and the technique covers it.
+    - `remarks`: remarks on the scene's files.
     """
 
     key: str
@@ -35,17 +35,17 @@ class Drawn(NamedTuple):
 
     @property
     def noise_floor(self) -> float | None:
-        """Noise floor of the reference, in visibility; `None` for a reference from a file, since its noise is
+        """Noise floor of the reference, in visibility. `None` for a reference from a file, because its noise is
         unknown."""
         return self.reference.noise_floor if self.reference.samples else None
 
     @property
     def pixels(self) -> int:
-        """How many pixels count."""
+        """The number of pixels that count."""
         return int(self.mask.sum())
 
 
 def without_looks(surface: raster.Surface) -> raster.Surface:
-    """What shadow mapping reads of a surface. Pictures need the whole one, which is then drawn again."""
+    """The parts of a surface that shadow mapping reads. Pictures need the whole surface, which is then drawn again."""
     looks = lambda surface: (surface.interpolated_normal, surface.albedo, surface.from_behind)
     return eqx.tree_at(looks, surface, (None, None, None), is_leaf=lambda leaf: leaf is None)

@@ -1,4 +1,4 @@
-"""Reports: one page of a finished run, sweep or recommendation, made again from its files."""
+"""Writes the page of a finished run, sweep or recommendation again, from its files."""
 
 from pathlib import Path
 
@@ -17,19 +17,19 @@ def report(folder: Path, *, form: str | None = None, dpi: int = 150) -> Path:
 
     **Arguments:**
 
-    - `form`: `"png"`, `"svg"` or `"pdf"` writes the run's figures again, too, beside the page.
+    - `form`: `"png"`, `"svg"` or `"pdf"` also writes the run's figures to the folder again.
     - `dpi`: the figures' resolution, in pixels per inch.
 
     **Returns** the page.
 
-    **Raises** `FileError` if `folder` is missing, holds no finished run, sweep or recommendation, or cannot be written
+    **Raises** `FileError` if `folder` is missing, has no finished run, sweep or recommendation, or cannot be written
     to; `ValueError` if `dpi` is out of range.
     """
     if not 10 <= dpi <= 2400:
         raise ValueError(f"dpi is {dpi}; expected 10 to 2400 pixels per inch, such as 300")
     record = read_record(folder)
     io.check_writable(folder)
-    # Here, since they load Matplotlib.
+    # Imported here because they load Matplotlib.
     if isinstance(record, SweepRecord):
         from .sweeps._report import report_sweep
 
@@ -44,10 +44,10 @@ def report(folder: Path, *, form: str | None = None, dpi: int = 150) -> Path:
 
 
 def next_after(folder: Path) -> list[Command]:
-    """What to do after the run, sweep or recommendation in `folder`, as on its page. Nothing if `folder` is none, since
-    only the first of several processes writes.
+    """The next commands for the run, sweep or recommendation in `folder`, as on its page. Empty if `folder` is `None`,
+    because only the first of several processes writes.
 
-    **Raises** `FileError` if it is damaged.
+    **Raises** `FileError` if the folder is damaged.
     """
     if not (folder / RESULT_FILE).is_file():
         return []

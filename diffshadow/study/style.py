@@ -47,11 +47,11 @@ THEME = {
 """The colours of a page and of the curves in it, by name: for the light and the dark theme."""
 MARKERS = ("o", "s", "D", "^", "v", "P")
 DIFFERENCE = "PuOr"
-"""A diverging colour map that is safe for the colour-blind: orange is too dark, purple too light."""
+"""A diverging colour map that is safe for the colour-blind: orange is too dark, and purple is too light."""
 DISTANCE = "cividis_r"
 DPI = 150
 TITLE, TEXT = 10, 8.5
-# Embeds TrueType fonts in PDF, since many publishers reject Type 3, and makes ids in SVG the same in every run.
+# Embeds TrueType fonts in PDF, because many publishers reject Type 3, and makes ids in SVG the same in every run.
 _VECTOR: Any = {"svg.fonttype": "none", "svg.hashsalt": "diffshadow", "pdf.fonttype": 42}
 
 
@@ -113,7 +113,7 @@ def chart(axes: Axes, x: str, y: str) -> None:
 
 
 def frame(axes: Axes) -> None:
-    """Draws a thin frame round a picture."""
+    """Draws a thin frame around a picture."""
     for spine in axes.spines.values():
         spine.set_visible(True)
         spine.set_color(FAINT)
@@ -148,7 +148,7 @@ def curve(index: int) -> dict[str, Any]:
 
 
 def colour_bar(figure: Figure, shown: Any, axes: list[Axes], label: str, **options: Any) -> Colorbar:
-    """Adds a colour bar beside `axes`."""
+    """Adds a colour bar next to `axes`."""
     bar = figure.colorbar(shown, ax=axes, shrink=0.9, aspect=28, pad=0.02, **options)
     bar.set_label(label, fontsize=TEXT, color=INK)
     bar.ax.tick_params(labelsize=TEXT, color=FAINT, labelcolor=INK, which="both")
@@ -164,7 +164,7 @@ def save(figure: Figure, path: Path, dpi: int = DPI) -> None:
     """
     form = path.suffix.removeprefix(".")
     options: dict[str, Any] = {
-        # In half the time of the default level. Charts take a tenth more bytes, pictures as much less.
+        # Half the time of the default level. Charts take a tenth more bytes, and pictures a tenth fewer.
         "png": {"metadata": {"Software": "diffshadow"}, "pil_kwargs": {"compress_level": 3}},
         "svg": {"metadata": {"Date": None}},
         "pdf": {"metadata": {"CreationDate": None}},
@@ -175,7 +175,7 @@ def save(figure: Figure, path: Path, dpi: int = DPI) -> None:
 
 
 def _lay_out(figure: Figure) -> None:
-    """Lays `figure` out for good. Otherwise Matplotlib draws it an extra time in each format."""
+    """Finalizes the layout of `figure`. Otherwise Matplotlib draws it an extra time in each format."""
     engine = figure.get_layout_engine()
     if engine is not None:
         engine.execute(figure)

@@ -1,9 +1,9 @@
-"""A page that shows a configuration, and redraws it while its settings are dragged."""
+"""A page that shows a configuration and redraws it while you drag its settings."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-# Without JAX, so that a page is served before it is loaded.
+# # These modules do not load JAX, so the server can answer before JAX is loaded.
 from ._run import run as run
 from ._state import Look as Look
 from ._state import State as State

@@ -1,4 +1,4 @@
-"""Animations: of a configuration whose numbers change, and of a fit that was stored."""
+"""Animations of a configuration whose numbers change, and of a stored fit."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -17,32 +17,32 @@ from ._state import Look, State, View
 from ._subject import Subject, at_most
 
 ANIMATION = "animation.webp"
-"""The file in a fit's folder."""
+"""The name of the animation in a fit's folder."""
 PIXELS = 384 * 288
-"""The most pixels of a frame, by default."""
-# How long the last frame of a fit stays, and each other one, in milliseconds.
+"""The default limit of a frame's size, in pixels."""
+# How long the last frame of a fit and each other frame are shown, in milliseconds.
 _LAST, _STEP = 2000, 90
-# The most frames of a fit.
+# The maximum number of frames of a fit.
 _MOST_STEPS = 60
-# Of the text under a fit's frames.
+# The size of the text below the frames of a fit.
 _CAPTION, _FONT = 18, 13
 _AXES = re.compile(r"\.([xyz])$")
 
 
 class Change(NamedTuple):
-    """A number that goes from `first` to `last`, by its dotted key."""
+    """A number that goes from `first` to `last`. `key` is its dotted key."""
 
     key: str
     first: float
     last: float
 
     def at(self, part: float) -> float:
-        """The number after a part of the way, from 0 to 1."""
+        """The number at the fraction `at` of the animation, from 0 to 1."""
         return self.first + part * (self.last - self.first)
 
 
 class Animation(NamedTuple):
-    """The file of an animation; and how much its shadow shimmers, `metrics.flicker`, where a reference was traced."""
+    """The file of an animation, and the flicker of its shadow (`metrics.flicker`) if a reference was traced."""
 
     path: Path
     flicker: float | None
@@ -59,25 +59,25 @@ def animate(
     pixels: int = PIXELS,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> "Animation":
-    """Writes `config` with numbers that change evenly from frame to frame, again and again.
+    """Writes an animation of `config` in which numbers change evenly from frame to frame.
 
     **Arguments:**
 
-    - `changes`: any numbers of the schema, all at once.
+    - `changes`: any numbers of the schema. They all change at once.
     - `output`: an animated `.webp`, `.gif` or `.png` file.
-    - `frames`, `seconds`: how many frames, and how long they take together.
-    - `view`: what is shown; `reference`, `error` and `acne and leaks` trace rays for each frame.
-    - `pixels`: the most pixels of a frame.
-    - `progress`: called with the number of frames done, and of all.
+    - `frames`, `seconds`: the number of frames, and the length of the animation.
+    - `view`: the view to draw; `reference`, `error` and `acne and leaks` trace rays for each frame.
+    - `pixels`: the maximum number of pixels in a frame.
+    - `progress`: called with the number of finished frames and the number of all frames.
 
-    **Raises** `ConfigError` for a key that does not exist or a value out of its limits, before anything is drawn, and
+    **Raises** `ConfigError` for an unknown key or a value outside its limits, before anything is drawn. **Raises**
     `FileError` if the file cannot be written.
     """
     check_value("--view", view, View)
     text, cache = dump_resolved(config), DrawingCache()
     parsed = lambda at: parse_config(text, _settings(changes, at), source="the animation")
     first, last = parsed(0.0), parsed(1.0)
-    # Numbers in between need no check.
+    # If the first and the last numbers are valid, so are the numbers between them.
     is_known = {change.key for change in changes} <= numbers_of(first).keys()
     between = [_between(first, changes, at) if is_known else parsed(at) for at in _steps_between(frames)]
     configs = [first, *between, last]
@@ -96,7 +96,7 @@ def animate(
         picture = picture_of(frame, view, truth)
         if picture is None:
             what = f"which {config.technique.type} does not have"
-            raise ValueError(f"--view is {view!r}, {what}; expected another, such as shaded; change it")
+            raise ValueError(f"--view is {view!r}, {what}; expected another view, such as shaded; change it")
         pictures.append(picture)
         progress(done + 1, frames)
     _write(output, pictures, round(1000 * seconds / frames))
@@ -104,12 +104,14 @@ def animate(
 
 
 def animate_run(folder: Path, output: Path | None = None, *, pixels: int = PIXELS) -> Path:
-    """Writes how a stored fit went: at each step, the shaded picture and the error of its visibility, side by side.
+    """Writes an animation of a stored fit. Each frame shows the shaded picture and the error of the visibility at one
+    step.
 
-    Nothing is fitted again. Without another `output`, the animation is put into the folder, and its report shows it.
+    Nothing is fitted again. Without `output`, the animation is written to the run's folder, and the report of the run
+    shows it.
 
-    **Returns** the animation. **Raises** `FileError` for a folder without a fit, or a fit of what no configuration
-    states: meshes that turn, shapes, and fits made in Python.
+    **Returns** the animation. **Raises** `FileError` for a folder without a fit, or for a fit that no configuration
+    describes: turned meshes, shapes, and fits made in Python.
     """
     run = study.read_run(folder)
     if not study.is_fit(run) or run.record.command is None:
@@ -143,24 +145,24 @@ def animate_run(folder: Path, output: Path | None = None, *, pixels: int = PIXEL
 
 
 def _settings(changes: Sequence[Change], at: float) -> list[str]:
-    """The overrides of all changes after the part `at` of the way."""
+    """The overrides of all changes at the fraction `at`."""
     return [f"{each.key}={each.at(at)!r}" for each in changes]
 
 
 def _between(config: Config, changes: Sequence[Change], at: float) -> Config:
-    """`config` after the part `at` of all changes."""
+    """`config` with all changes at the fraction `at`."""
     for each in changes:
         config = with_number(config, each.key, each.at(at))
     return config
 
 
 def _steps_between(frames: int) -> list[float]:
-    """The parts of the way of all frames but the first and the last."""
+    """The fractions of all frames except the first and the last."""
     return np.linspace(0, 1, frames)[1:-1].tolist()
 
 
 def _steps(run: study.VisibilityRun[Any]) -> list[tuple[int, list[float]]]:
-    """Number and values of the steps that are shown: not more than so many, the result last."""
+    """The numbers and the values of the steps to show. There are at most `_MOST_STEPS`, and the last is the result."""
     values = study.history(run).values
     every = -(-len(values) // _MOST_STEPS)
     chosen = range(0, len(values), every)
@@ -169,7 +171,7 @@ def _steps(run: study.VisibilityRun[Any]) -> list[tuple[int, list[float]]]:
 
 
 def _captioned(picture: Picture, words: str, size: tuple[int, int]) -> Picture:
-    """`picture` in another size, with words below."""
+    """`picture` at another size, with a caption."""
     height, width = size
     shown = Image.new("RGB", (width, height + _CAPTION), "white")
     shown.paste(Image.fromarray(picture).resize((width, height), Image.Resampling.BOX))

@@ -4,18 +4,18 @@ from typing import Any, NamedTuple
 
 from ..config import Config, Number, choices_of, numbers_of
 
-# The greatest value of a slider, by unit, where the value and the limits suggest none.
+# The largest value of a slider by unit, if neither the value nor the limits suggest one.
 _SPANS = {"texels": 4.0, "degrees": 5.0, "window depth": 0.01, "parts of the depth range": 0.01}
-# Factor from the present value to the slider's end.
+# The end of a slider is this factor times its present value.
 _FACTOR = 4.0
 _HALF_TURN = 180.0
-# Significant digits of a slider's ends.
+# Significant digits of the ends of a slider.
 _DIGITS = 3
 _ROUNDING = 1e-5
 
 
 class Slider(NamedTuple):
-    """A number of the page, from `low` to `high`; `is_fittable` if a fit may find it."""
+    """A number of the page, from `low` to `high`. `is_fittable` says whether a fit can find it."""
 
     key: str
     value: float
@@ -26,18 +26,17 @@ class Slider(NamedTuple):
     is_fittable: bool
 
     def holds(self, value: float) -> bool:
-        """Whether `value` is between its ends, but for the rounding of pages to six digits."""
+        """Whether `value` is between the ends. Pages round to six digits, so the check allows that error."""
         slack = _ROUNDING * max(abs(self.low), abs(self.high))
         return self.low - slack <= value <= self.high + slack
 
     def reaching(self, low: float, high: float) -> "Slider":
-        """The slider with ends at least so far out."""
+        """This slider, widened to include `low` and `high`."""
         return self._replace(low=min(self.low, low), high=max(self.high, high))
 
 
 class Picker(NamedTuple):
-    """A choice of the page: of `options`, or a whole number from `low` to `high`. It `sets` a key, for each option to a
-    value of its own."""
+    """A choice on the page: one of `options`, or a whole number from `low` to `high`. It sets the key `sets`."""
 
     key: str
     value: Any
@@ -51,7 +50,7 @@ class Picker(NamedTuple):
 def sliders_of(config: Config, size: float) -> dict[str, Slider]:
     """A slider for each number of `config`.
 
-    **Arguments:** `size`: the scene's, in world units.
+    **Arguments:** `size`: the size of the scene, in world units.
     """
     return {key: _slider(config, key, number, size) for key, number in numbers_of(config).items()}
 
@@ -77,7 +76,7 @@ def _slider(config: Config, key: str, number: Number, size: float) -> Slider:
     if bounds is not None:
         low, high = bounds.lower, bounds.upper
     elif number.unit == "degrees" and (limits.low or 0) < 0:
-        # A direction or a turn.
+        # These numbers are a direction or a rotation.
         low, high = -_HALF_TURN, _HALF_TURN
     else:
         span = max(_FACTOR * abs(value), _SPANS.get(number.unit, size if number.unit == "world units" else 1.0))

@@ -1,10 +1,10 @@
-"""Draws in stages. Each stage keeps its last results, so that only what depends on a change is drawn again.
+"""Draws in stages. Each stage keeps its last results, so a change redraws only the stages that depend on it.
 
 | stage | depends on |
 |---|---|
 | meshes | the meshes of the configuration |
 | surface | meshes, camera, size |
-| state, such as a map | meshes, light, technique; the surface too if its layout is fitted to the camera |
+| state, such as a map | meshes, light, technique; also the surface if the layout is fitted to the camera |
 | visibility | surface, state, the technique's numbers |
 | antialiased surface, if `scene.camera.antialias` asks for it | meshes, camera, size |
 | picture | visibility, shading, and the page's view |
@@ -27,11 +27,11 @@ from ._state import Look
 from ._subject import Subject
 
 Picture = UInt8[HostArray, "h w 3"]
-"""sRGB, top row first."""
+"""An image in sRGB, with the top row first."""
 
 
 class Recent:
-    """The last `most` results of a stage by what they depend on. `calls` counts how often one was made."""
+    """The last `most` results of a stage, by key. `calls` counts the results that were computed."""
 
     def __init__(self, most: int = 4):
         self.most, self.calls = most, 0
@@ -41,10 +41,10 @@ class Recent:
     def __call__(self, key: Hashable, make: Callable[[], Any]) -> Any:
         with self._lock:
             if key in self._kept:
-                # The last used stays longest.
+                # A used result moves to the end, so the least recently used is dropped first.
                 found = self._kept[key] = self._kept.pop(key)
                 return found
-        # Another thread may draw meanwhile.
+        # Without the lock, so that other threads can draw at the same time.
         made = make()
         with self._lock:
             self.calls += 1
@@ -58,7 +58,7 @@ class Recent:
 
 
 class DrawingCache:
-    """The last results of all stages, which pages and subjects share."""
+    """The last results of all stages. Pages and subjects share them."""
 
     def __init__(self):
         self.meshes, self.camera, self.lights, self.shading = Recent(), Recent(8), Recent(8), Recent()
@@ -67,11 +67,11 @@ class DrawingCache:
 
 
 class Frame:
-    """One picture of a subject in a size, as a page looks at it. Each part is drawn when it is first used.
+    """One picture of a subject, at one size and with a page's settings. Each part is drawn on first use.
 
-    - `config`: with all numbers of the page; another one of the same structure may be given.
+    - `config`: with all numbers of the page. Its structure may not differ from the subject's.
     - `size`: (height, width), in pixels.
-    - `light`: the index of the light that single lights are shown of.
+    - `light`: the index of the light for views of a single light.
     """
 
     def __init__(
@@ -103,7 +103,7 @@ class Frame:
 
     @property
     def shading(self) -> Any:
-        """How pictures are shaded."""
+        """The shading of pictures."""
         key = frozen(self.config.shading), len(self._lights)
         return self.cache.shading(key, lambda: build_shading(self.config))
 
@@ -113,27 +113,27 @@ class Frame:
 
     @property
     def surface(self) -> raster.Surface:
-        """What the camera sees."""
+        """The surface that the camera sees."""
         return self._surface_of(self.size)
 
     @property
     def moves(self) -> bool:
-        """Whether the surface or the map of a light is still to be drawn: then a smaller picture comes first."""
+        """Whether the surface or the map of a light is not drawn yet. A smaller picture then comes first."""
         states = (self.state_key(light) in self.cache.state for light in range(len(self._lights)))
         return self._surface_key(self.size) not in self.cache.surface or not all(states)
 
     def state_key(self, light: int) -> Hashable:
-        """What the state of a light depends on."""
+        """The key of a light's state."""
         laid_out = tuple(self.numbers[name] for name in self.subject.laid_out)
         camera = self._camera if self.subject.follows_camera else ""
         return self._meshes, self._lights[light], self.subject.map_key, laid_out, camera
 
     def state(self, light: int) -> Any:
-        """What the technique draws for a light, such as its map."""
+        """The state of the technique for a light, such as its map."""
         return self.cache.state(self.state_key(light), lambda: self._prepared(light))
 
     def _prepared(self, light: int) -> Any:
-        """A new state. In a small picture, a map is the same as in a large one: else its acne would be another."""
+        """A new state. A small picture uses a map of full size, because its acne would otherwise differ."""
         if not self.subject.follows_camera:
             return self.technique.prepare(self.scene(light))
         full = self.subject.full_size
@@ -141,21 +141,21 @@ class Frame:
         return self.technique.prepare(scene, self._surface_of(full))
 
     def visibility(self, light: int) -> Any:
-        """(h, w), of a light."""
+        """The visibility of a light, of shape (h, w)."""
         numbers = tuple(self.numbers.values())
         key = self.subject.key, numbers, self.state_key(light), self._surface_key(self.size)
         draw = lambda: self.technique.visibility(self.state(light), self.surface)
         return self.cache.visibility(key, draw)
 
     def covered(self, light: int) -> Bool[HostArray, "h w"]:
-        """(h, w), the pixels that count for a light."""
+        """The pixels that count for a light, as booleans of shape (h, w)."""
         key = self.subject.key, self.state_key(light), self._surface_key(self.size)
         draw = lambda: np.asarray(self.technique.covered(self.state(light), self.surface))
         return self.cache.covered(key, draw)
 
     @property
     def truth_key(self) -> Hashable:
-        """What the reference of the shown light depends on."""
+        """The key of the shown light's reference."""
         return self._surface_key(self.size), self._lights[self.light], frozen(self.subject.how)
 
     def shaded(self) -> Picture:
@@ -170,11 +170,11 @@ class Frame:
         return self.cache.antialiased(self._surface_key(self.size), draw)
 
     def from_light(self) -> Picture:
-        """What the shown light sees, shaded with its shadow: all that is dark there is false shadow."""
+        """The scene as the shown light sees it, shaded with its shadow. Every dark pixel is false shadow."""
         view, key = self.lights[self.light].view(), self._lights[self.light]
         clip = np.array(view.eye_to_clip)
         height, width = self.size
-        # All that the map sees, with square pixels.
+        # The camera sees everything that the map sees, with square pixels.
         wider = width / height * clip[0, 0] / clip[1, 1]
         clip[0], clip[1] = clip[0] / max(wider, 1.0), clip[1] * min(wider, 1.0)
         camera = geometry.MatrixCamera(view.world_to_eye, clip, self.size, view.is_perspective)
@@ -195,7 +195,7 @@ class Frame:
         return self.cache.surface(self._surface_key(size), lambda: self._drawn_by(self._camera_of(size)))
 
     def _drawn_by(self, camera: geometry.AbstractCamera) -> raster.Surface:
-        # With the technique's buffer, it shares its program with the map.
+        # The buffer of the technique lets this share its program with the map.
         has_map = isinstance(self.technique, shadow.ShadowMapping)
         buffer = self.technique.layers.buffer(camera.resolution) if has_map else None
         return raster.draw_surface(geometry.merge(self.built.meshes), camera, buffer=buffer)
@@ -209,8 +209,8 @@ def _shaded(
     lights: Any,
     camera: geometry.AbstractCamera,
 ) -> UInt8[Array, "h w 3"]:
-    """The shaded picture in sRGB (IEC 61966-2-1), within 1/255: its power of 1/2.4 by three square roots, in two thirds
-    of the time."""
+    """The shaded picture in sRGB (IEC 61966-2-1), within 1/255. Three square roots replace the power of 1/2.4 and take
+    two thirds of its time."""
     draw = shading.antialiased if isinstance(surface, raster.AntialiasedSurface) else shading
     linear = jnp.clip(draw(surface, visibility, lights, camera), 0, 1)
     root = jnp.sqrt(linear)

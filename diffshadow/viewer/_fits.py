@@ -1,4 +1,4 @@
-"""A fit that goes on while pages come and go."""
+"""A fit that continues while pages open and close."""
 
 import threading
 from collections.abc import Callable
@@ -11,14 +11,14 @@ from ..config import Config
 from ._reasons import reason_of
 from ._threads import start
 
-# Digits of values that a page shows.
+# Significant digits of the values that a page shows.
 _DIGITS = 8
 
 
 class Fit:
-    """At most one fit, in a thread of its own.
+    """Runs at most one fit, in its own thread.
 
-    - `changed`: called with the news, which `state` holds in full.
+    - `changed`: called with the latest news; `state` has all news.
     """
 
     def __init__(self, changed: Callable[[dict[str, Any]], None]):
@@ -40,7 +40,7 @@ class Fit:
         return self._number
 
     def stop(self) -> None:
-        """Stops the fit after its present step."""
+        """Stops the fit after its current step."""
         self._stopping.set()
 
     def join(self) -> None:
@@ -67,12 +67,12 @@ class Fit:
             self._tell(running=False, note=run.verdict.sentence, values=values, done=True)
 
     def go_on(self) -> None:
-        """**Raises** an error that ends the fit if it is to stop."""
+        """**Raises** an error that ends the fit, if a stop was requested."""
         if self._stopping.is_set():
             raise _StoppedError
 
     def note(self, text: str) -> None:
-        """Says what the fit does."""
+        """Sets the note that the page shows about the fit."""
         self._tell(note=text)
 
     def _tell(self, step: dict[str, Any] | None = None, **news: Any) -> None:
@@ -87,7 +87,7 @@ class _StoppedError(Exception):
 
 
 class _Progress(study.Progress):
-    """Progress of a fit, whose stages are also shown on the page."""
+    """Progress of a fit. The page also shows its stages."""
 
     def __init__(self, fit: Fit):
         super().__init__(Console(quiet=True))
@@ -96,7 +96,7 @@ class _Progress(study.Progress):
     def show(self, name: str, detail: str = "", done: float | None = None) -> None:
         self._fit.go_on()
         super().show(name, detail, done)
-        # Steps have news of their own.
+        # Each step sends its own news.
         if name != self._shown:
             self._shown = name
             self._fit.note(name)

@@ -1,4 +1,4 @@
-"""The page beside a notebook or a script: served from a thread of its own."""
+"""The page of a notebook or a script, served from its own thread."""
 
 import asyncio
 import atexit
@@ -26,11 +26,11 @@ _HEIGHT = 640
 
 
 class OpenPage:
-    """A page that is open. A notebook shows it where this is the last value of a cell.
+    """An open page. A notebook shows it if it is the last value of a cell.
 
-    It is open until `close`, the end of its `with` statement, or the end of Python.
+    It stays open until `close`, the end of its `with` statement, or the end of Python.
 
-    - `address`: of the page, for any browser of this machine.
+    - `address`: the page's address, for any browser on this machine.
     """
 
     def __init__(self, config: Config, name: str, port: int, files: contextlib.ExitStack):
@@ -39,9 +39,9 @@ class OpenPage:
         self._thread.start()
         self._server: Server | None = started.result()
         self.address = self._server.address
-        # What is closed with it.
+        # Removed when the page is closed.
         self._files = files.pop_all()
-        # What stays when it is closed.
+        # Still available after the page is closed.
         self._last = State()
         self._left: Future[Config] | None = None
         self._closing = threading.Lock()
@@ -49,25 +49,26 @@ class OpenPage:
 
     @property
     def values(self) -> dict[str, float]:
-        """The numbers that were changed on the page, by the dotted keys that set them."""
+        """The numbers that were changed on the page, by dotted key."""
         return dict(self._state.numbers)
 
     @property
     def config(self) -> Config:
-        """The configuration as the page was left: a render of it draws the same. That of a `Scene` needs files that
-        are removed when the page is closed."""
+        """The configuration with the page's last settings. A render of it draws the page's picture. For a `Scene`, it
+        refers to files that are removed when the page is closed."""
         return (self._left or self._read(self._server)).result()
 
     def close(self) -> None:
-        """Ends the page, and frees all that it holds; its `values` and its `config` stay.
+        """Closes the page and frees its memory. Its `values` and `config` remain.
 
-        What it draws, traces and fits is stopped after its present step, which this waits for."""
+        Waits until drawing, tracing and fitting have stopped after their current step.
+        """
         with self._closing:
             server = self._server
             if server is None:
                 return
             self._last = self._state
-            # At the end of Python, nothing new can be computed.
+            # JAX cannot compute anything new while Python exits.
             with contextlib.suppress(RuntimeError):
                 self._left = self._read(server)
                 wait([self._left])
@@ -90,7 +91,7 @@ class OpenPage:
 
     def _read(self, server: Any) -> Future[Config]:
         viewer, state = server.viewer, self._state
-        # In the thread that draws, like all that a viewer does.
+        # Called in the thread that draws, like all methods of the viewer.
         return server.drawing.submit(lambda: viewer.subject(state).saved(state))
 
     def __repr__(self) -> str:
@@ -109,15 +110,15 @@ def view(what: Any, *overrides: str, port: int = 0) -> OpenPage:
     **Arguments:**
 
     - `what`: a `Config`; the path of a configuration, a mesh or a run's folder; a `Scene`; or a problem with a scene,
-        such as a `TechniqueProblem`. For scenes and problems, the page shows meshes, camera and lights, with the
-        default technique.
+      such as a `TechniqueProblem`. A scene or a problem is shown with its meshes, camera and lights, and the default
+      technique.
     - `overrides`: strings such as `"filter.radius=3"` that replace values of the configuration.
-    - `port`: to listen on, on this machine only; 0 is any free one.
+    - `port`: the port, open to this machine only; 0 chooses a free one.
 
-    **Returns** the page, whose `values` are the numbers that were changed on it. Its `close` frees all of its memory.
+    **Returns** the page, whose `values` are the numbers that were changed on it. `close` frees its memory.
 
-    **Raises** `ConfigError` for a mistake in the configuration, `TypeError` for other objects, and `ValueError` for a
-    problem without a scene, or a port that cannot be used.
+    **Raises** `ConfigError` for an invalid configuration, `TypeError` for other objects, and `ValueError` for a problem
+    without a scene or for a port that cannot be used.
     """
     if isinstance(what, TechniqueProblem | PoseProblem):
         what = what.scene
@@ -137,11 +138,11 @@ def view(what: Any, *overrides: str, port: int = 0) -> OpenPage:
 
 
 def _config_of(scene: Scene, overrides: tuple[str, ...], folder: Path) -> Config:
-    """A configuration of `scene`, whose files are written into `folder`."""
+    """A configuration of `scene`. Writes its files into `folder`."""
     io.write_gltf(folder / "scene.glb", scene)
     made, sections = [], []
     for i, light in enumerate(scene.lights):
-        # An import has one light.
+        # An imported file has one light.
         name, quiet = f"light {i}", Console(quiet=True)
         made.append(
             study.import_scene(
@@ -151,7 +152,7 @@ def _config_of(scene: Scene, overrides: tuple[str, ...], folder: Path) -> Config
         found: Any = load_config(made[-1]).scene.light
         section = found.model_dump(mode="json", exclude_none=True)
         radius = light.pose().radius
-        # An import leaves out the sizes of lights.
+        # An imported file does not have the sizes of lights.
         sized = {} if radius is None else {"angular_radius" if light.is_directional else "radius": float(radius)}
         sections.append({**section, **sized})
     several = ["scene.light=null", f"scene.lights={json.dumps(sections)}"]
@@ -160,7 +161,7 @@ def _config_of(scene: Scene, overrides: tuple[str, ...], folder: Path) -> Config
 
 
 def _serve(config: Config, name: str, port: int, started: Future[Server]) -> None:
-    """Serves until the server that it starts is `ended`, and all its work too."""
+    """Starts a server, and serves until the server is `ended` and all its work has stopped."""
     try:
         asyncio.run(serve(config, name, port, prepared=started.set_result))
     except Exception as error:

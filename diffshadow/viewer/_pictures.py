@@ -1,4 +1,4 @@
-"""The pictures of a frame, one for each view that a page can choose, and its figures."""
+"""The pictures and the figures of a frame. There is one picture for each view that a page can choose."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -6,31 +6,31 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-# The colours of `study` load Matplotlib on first use: shaded pictures do without.
+# `study`'s colours load Matplotlib on first use; shaded pictures do not need them.
 from .. import geometry, metrics, shadow, study
 from .._types import HostArray
 from ..reference import Reference
 from ._drawing_cache import Frame, Picture
 from ._state import View
 
-# The longer side of a picture of a map, in pixels, and how much of white the far end of its depths keeps.
+# The longer side of a picture of a map, in pixels, and the brightness of its farthest depth, where white is 1.
 _MAP_SIDE, _FAR = 1024, 0.15
 
 
 def picture_of(frame: Frame, view: View, truth: Reference | None) -> Picture | None:
-    """The picture of `frame`; none where it needs a reference that is not traced yet, or has nothing to show."""
+    """The picture of `frame`, or `None` if its reference is not traced yet or there is nothing to show."""
     if view not in OF_TRUTH:
         return _PLAIN[view](frame)
     return None if truth is None else OF_TRUTH[view](frame, truth)
 
 
 def views_of(frame: Frame) -> list[View]:
-    """The views that the subject of `frame` has."""
+    """The views of the subject of `frame`."""
     state = frame.state(frame.light)
     has_map = isinstance(state, shadow.ShadowMap | shadow.EngineMap)
     has = {
         "shadow map": has_map,
-        # A point light has six.
+        # A point light has six layers.
         "light's view": has_map and not isinstance(frame.lights[frame.light], geometry.PointLight),
         "layers of the map": _layers(frame) is not None,
     }
@@ -39,7 +39,7 @@ def views_of(frame: Frame) -> list[View]:
 
 
 def figures_of(frame: Frame, truth: Reference) -> dict[str, float]:
-    """The errors of the shown light's visibility, as a render prints them; empty if no pixel counts."""
+    """The errors of the shown light's visibility, as `diffshadow render` prints them. Empty if no pixel counts."""
     mask = frame.covered(frame.light) & truth.mask
     if not mask.any():
         return {}
@@ -49,7 +49,7 @@ def figures_of(frame: Frame, truth: Reference) -> dict[str, float]:
 
 
 def as_picture(image: Float[HostArray, "h w 3"]) -> Picture:
-    """Colours in [0, 1], row 0 at the bottom, as bytes."""
+    """Converts colours in [0, 1], with row 0 at the bottom, to bytes."""
     return np.rint(np.clip(image[::-1], 0, 1) * 255).astype(np.uint8)
 
 
@@ -62,7 +62,7 @@ def _reference(frame: Frame, truth: Reference) -> Picture:
 
 
 def _difference(frame: Frame, truth: Reference) -> tuple[Float[HostArray, "h w"], Bool[HostArray, "h w"]]:
-    """How much too light each pixel is, and which count."""
+    """The signed error of each pixel, positive where it is too light, and a mask of the pixels that count."""
     mask = frame.covered(frame.light) & truth.mask
     return np.where(mask, np.asarray(frame.visibility(frame.light)) - truth.visibility, 0), mask
 
@@ -77,7 +77,7 @@ def _marks(frame: Frame, truth: Reference) -> Picture:
 
 
 def _map(frame: Frame) -> Picture:
-    """Depths, near light and far dark, of all layers side by side."""
+    """The depths of all layers side by side. Near depths are light, and far depths are dark."""
     depth = np.asarray(frame.state(frame.light).depth)
     layers = depth if depth.ndim > 2 else depth[None]
     across = int(np.ceil(np.sqrt(len(layers))))
@@ -99,7 +99,7 @@ def _layers(frame: Frame) -> shadow.LayerFigure | None:
 
 
 def _tinted(frame: Frame) -> Picture | None:
-    """The shaded picture, with a colour for the layer of the map that each pixel is looked up in."""
+    """The shaded picture, tinted by the layer of the map that each pixel looks up."""
     layers = _layers(frame)
     return None if layers is None else as_picture(study.tinted(frame.shaded()[::-1] / 255, layers))
 

@@ -1,4 +1,4 @@
-"""Runs the page until Ctrl-C."""
+"""Serves the page until Ctrl-C."""
 
 import asyncio
 import contextlib
@@ -20,18 +20,19 @@ def run(
     browser: bool = True,
     start: Callable[[], None] = lambda: None,
 ) -> None:
-    """Shows `config`, or what it gives, in a page until Ctrl-C. The address is printed at once; what is slow follows,
-    and the page says what that is.
+    """Shows a configuration in a page until Ctrl-C. The address is printed at once. Slow steps follow, and the page
+    names each of them.
 
     **Arguments:**
 
-    - `name`: what the configuration was given as, for commands that can be pasted.
-    - `port`: to listen on; 0 is any free one.
+    - `config`: the configuration, or a function that returns it.
+    - `name`: the configuration's name on the command line, for commands that can be pasted.
+    - `port`: the port; 0 chooses a free one.
     - `browser`: whether to open the page in a browser.
     - `start`: called before anything is computed, in another thread.
 
-    **Raises** `ValueError` for a port that cannot be used; and for a configuration that cannot be drawn, once the page
-    has shown why.
+    **Raises** `ValueError` for a port that cannot be used. **Raises** the error of a configuration that cannot be
+    drawn, after the page has shown it.
     """
 
     def started(server: Server) -> None:

@@ -1,4 +1,5 @@
-"""Serves pages on this machine: pictures one at a time, each acknowledged by its page before the next is sent."""
+"""Serves pages on this machine. Pictures are sent one at a time, and each page confirms its picture before the next is
+sent."""
 
 import asyncio
 import contextlib
@@ -25,17 +26,17 @@ if TYPE_CHECKING:
     from ._viewer import Viewer
 
 HOST = "127.0.0.1"
-# Seconds without a change after which a picture is drawn in full size.
+# A picture is drawn at full size after this many seconds without a change.
 _REST = 0.25
-# Seconds after which a page says that its picture takes long.
+# A page says that its picture takes long after this many seconds.
 _LONG = 0.7
-# Bytes of a message. Of longer ones, the connection is closed instead of an answer.
+# The limit of a message, in bytes. A longer message closes the connection without an answer.
 _MAX_MESSAGE, _MOST_READ = 1 << 18, 1 << 26
 _MOST_PORT = (1 << 16) - 1
-# Characters that an answer quotes.
+# The limit of quoted text in an answer, in characters.
 _SHORT = 80
 _FILES = {"": "text/html", "page.css": "text/css", "page.js": "text/javascript"}
-# Pages load nothing from elsewhere, and are shown in no foreign frame.
+# Pages load nothing from other hosts, and other hosts' pages cannot frame them.
 _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src blob: data:; "
     "frame-ancestors 'self' http://localhost:* http://127.0.0.1:*; base-uri 'none'; form-action 'none'"
@@ -43,22 +44,22 @@ _POLICY = (
 
 
 class Server:
-    """The server of one configuration. Its methods are called in the thread of the event loop that it was made in.
+    """The server of one configuration. Its methods are called in the thread of its event loop.
 
-    It can listen at once. Another thread calls `start`, loads JAX and builds the configuration, which `stage` follows.
-    The configuration may also be a function that gives it, which that thread calls.
+    The server can listen at once. Another thread calls `start`, loads JAX and builds the configuration; `stage` names
+    its current step. The configuration may also be a function, which that thread calls.
 
-    - `ended`: set it to end what `serve` serves.
-    - `last`: the settings that a page has shown last; none before.
-    - `drawn`: the structures that full pictures were drawn of, which compile nothing.
-    - `stage`: what has to be done before its first picture.
+    - `ended`: set this event to end `serve`.
+    - `last`: the last settings that a page has shown, or `None`.
+    - `drawn`: the structures that have a full picture, so drawing them compiles nothing.
+    - `stage`: the work that precedes the first picture.
     """
 
     def __init__(self, config: Config | Callable[[], Config], name: str, start: Callable[[], None] = lambda: None):
         self.loop = asyncio.get_running_loop()
         self.ended = asyncio.Event()
         self.pages: set[Page] = set()
-        # One thread draws for all pages, and one what has to be compiled first, so that no page waits for another's.
+        # One thread draws for all pages. A second thread compiles, so a page never waits while another page compiles.
         self.drawing = ThreadPoolExecutor(1, thread_name_prefix="drawing")
         self.compiling = ThreadPoolExecutor(1, thread_name_prefix="compiling")
         self.last: State | None = None
@@ -81,19 +82,19 @@ class Server:
 
     @property
     def viewer(self) -> "Viewer":
-        """What draws. It is waited for until it is made, so this is for other threads before that.
+        """The viewer. Waits until it is built, so only other threads may use this earlier.
 
-        **Raises** what making it raised.
+        **Raises** the error of building it.
         """
         return self._made.result()
 
     @property
     def is_made(self) -> bool:
-        """Whether there is a `viewer`."""
+        """Whether the `viewer` is built."""
         return self._made.done() and not self._made.cancelled() and self._made.exception() is None
 
     async def prepared(self) -> None:
-        """Waits until there is a `viewer`. **Raises** what making it raised, once all pages know."""
+        """Waits until the `viewer` is built. **Raises** the error of building it, after all pages have received it."""
         try:
             await asyncio.wrap_future(self._made)
         except Exception as error:
@@ -102,7 +103,7 @@ class Server:
             raise
 
     def start(self, port: int) -> None:
-        """Listens on `port`, or any free one for 0, and begins to make the `viewer`. **Raises** `ValueError` if the
+        """Listens on `port` (0 chooses a free one) and begins to build the `viewer`. **Raises** `ValueError` if the
         port is taken."""
         try:
             if not 0 <= port <= _MOST_PORT:
@@ -110,8 +111,8 @@ class Server:
             bound = socket.create_server((HOST, port))
         except (OSError, OverflowError) as error:
             raise ValueError(
-                f"--port is {port}, which cannot be used ({error}); expected a free port from 0 to {_MOST_PORT}, where "
-                "0 is any: choose another"
+                f"--port is {port}, which cannot be used ({error}); expected a free port from 0 to {_MOST_PORT}, "
+                "where 0 chooses any; choose another"
             ) from error
         settings: dict[str, Any] = {"server": self, "websocket_max_message_size": _MOST_READ}
         routes = [(r"/socket", Page), (r"/(page\.css|page\.js|)", File)]
@@ -123,7 +124,7 @@ class Server:
         self._made = self.compiling.submit(self._make)
 
     def stop(self) -> None:
-        """Closes all pages, stops listening, and stops what is drawn, traced and fitted after its present step."""
+        """Closes all pages and stops listening. Drawing, tracing and fitting stop after their current step."""
         for page in [*self.pages]:
             page.leave()
         if self._http is not None:
@@ -134,21 +135,21 @@ class Server:
             self.viewer.close()
 
     async def hang_up(self) -> None:
-        """Closes the connections that are left after `stop`."""
+        """Closes the connections that `stop` left open."""
         if self._http is not None:
             await self._http.close_all_connections()
 
     def join(self) -> None:
-        """Waits until what `stop` stops has ended. Called in another thread, or once the loop has ended."""
+        """Waits until all work has ended after `stop`. Called in another thread, or after the loop has ended."""
         for thread in (self.drawing, self.compiling):
             thread.shutdown()
         if self.is_made:
-            # A fit may have been about to start.
+            # A fit may have started in the meantime.
             self.viewer.close()
             self.viewer.join()
 
     def _in_loop(self, call: Callable[[Any], None]) -> Callable[[Any], None]:
-        """`call`, to be called from other threads."""
+        """A version of `call` that other threads can call."""
 
         def later(value: Any) -> None:
             # The loop may be closed already.
@@ -186,7 +187,7 @@ class File(tornado.web.RequestHandler):
 
 
 class Page(tornado.websocket.WebSocketHandler):
-    """One page: what it looks at, and what it has been shown."""
+    """One page: its settings, and the pictures that it has received."""
 
     def prepare(self) -> None:
         check_host(self)
@@ -196,12 +197,12 @@ class Page(tornado.websocket.WebSocketHandler):
         self.server.pages.add(self)
         self.look: Look | None = None
         self.since = 0.0
-        # Of the look: whether it is to be drawn at all, and again in full size or with a better reference.
+        # What the current look still needs: a picture at all, and a picture at full size or with a better reference.
         self.is_new = self.is_rough = False
         self.in_flight: int | None = None
         self.number = 0
         self.key: Hashable = None
-        # The structure whose controls it has.
+        # The structure of the controls that the page has.
         self.built = ""
         self.tasks: set[asyncio.Future[None]] = set()
         if not self.server.drawn:
@@ -223,14 +224,14 @@ class Page(tornado.websocket.WebSocketHandler):
         self.pump.cancel()
 
     def tell(self, **parts: Any) -> None:
-        """Sends a message, unless the page is gone."""
+        """Sends a message, unless the page is closed."""
         with contextlib.suppress(tornado.websocket.WebSocketClosedError):
             self.write_message(json.dumps(parts))
 
     def tell_that_it_takes_long(self) -> None:
-        """Says why no picture comes."""
+        """Tells the page why there is no picture."""
         if self.server.drawn:
-            self.tell(note="drawing this for the first time, which takes longer")
+            self.tell(note="drawing this for the first time takes longer")
 
     def on_message(self, message: str | bytes) -> None:
         try:
@@ -258,13 +259,13 @@ class Page(tornado.websocket.WebSocketHandler):
         self.woken.set()
 
     def traced(self, key: Hashable) -> None:
-        """A better reference came."""
+        """Handles a better reference."""
         if key == self.key:
             self.is_rough = True
             self.woken.set()
 
     def _rest(self) -> None:
-        """Traces nothing more for this page."""
+        """Stops tracing for this page."""
         if self.server.is_made:
             self.server.viewer.tracer.rest(self)
 
@@ -273,7 +274,7 @@ class Page(tornado.websocket.WebSocketHandler):
             with self._errors():
                 self.tell(**{part: await self._do(self.server.drawing, lambda: work(self.server.viewer, given))})
 
-        # The loop itself keeps only weak references.
+        # The loop keeps only weak references to tasks.
         task = asyncio.ensure_future(answer())
         self.tasks.add(task)
         task.add_done_callback(self.tasks.discard)
@@ -283,14 +284,15 @@ class Page(tornado.websocket.WebSocketHandler):
 
     @contextlib.contextmanager
     def _errors(self) -> Any:
-        """Shows what goes wrong on the page. The last picture stays."""
+        """Shows an error on the page. The last picture stays."""
         try:
             yield
         except Exception as error:
             self.tell(error=reason_of(error))
 
     async def _pump(self) -> None:
-        """Draws the newest look whenever the page has shown the last picture: at once, and once more at rest."""
+        """Draws the newest look each time the page has shown the last picture: once immediately, and once more at
+        rest."""
         while True:
             self.woken.clear()
             rest = self.since + _REST - time.monotonic()
@@ -316,7 +318,7 @@ class Page(tornado.websocket.WebSocketHandler):
                 self.tell(controls=controls)
 
             def draw() -> tuple[list[str], Any]:
-                # One visit of the thread for a picture: each costs a wait.
+                # All work of a picture happens in one visit to the thread, because each visit costs a wait.
                 viewer = self.server.viewer
                 return viewer.misfits(look.state) if is_new else [], viewer.show(look, at_rest=at_rest)
 
@@ -328,7 +330,7 @@ class Page(tornado.websocket.WebSocketHandler):
                 self.server.drawn.add(built)
                 viewer = self.server.viewer
                 self.key = await self._do(thread, lambda: viewer.trace(look, self))
-                # A better reference may have come before its key was known here.
+                # A better reference may have come before this page knew its key.
                 known = viewer.tracer.reference(self.key)
                 self.is_rough |= known is not None and known.samples != shown.about["rays"]
         finally:
@@ -339,7 +341,7 @@ class Page(tornado.websocket.WebSocketHandler):
         with contextlib.suppress(tornado.websocket.WebSocketClosedError):
             await self.write_message(struct.pack(">I", len(head)) + head + shown.jpeg, binary=True)
         if at_rest:
-            # The threads that draw, compile and trace have heaps of their own. It takes 3 ms.
+            # The threads that draw, compile and trace have their own heaps. This takes 3 ms.
             await self._do(thread, give_back_freed_memory)
 
 
@@ -352,14 +354,14 @@ async def serve(
     prepared: Callable[[Server], None] = lambda server: None,
     start: Callable[[], None] = lambda: None,
 ) -> None:
-    """Serves pages until they are ended, or this is cancelled.
+    """Serves pages until `server.ended` is set, or until this task is cancelled.
 
     **Arguments:**
 
-    - `listening`, `prepared`: called once pages can be opened, and once pictures can be drawn.
+    - `listening`, `prepared`: called when pages can be opened, and when pictures can be drawn.
     - `start`: called before JAX is loaded, in another thread.
 
-    **Raises** what `start`, `Server.start` and building the configuration raise.
+    **Raises** the errors of `start`, of `Server.start`, and of building the configuration.
     """
     server = Server(config, name, start)
     try:
@@ -374,7 +376,7 @@ async def serve(
 
 
 def _message_of(text: str | bytes) -> Message:
-    """**Raises** `ValueError` with what is wrong with a message."""
+    """**Raises** `ValueError` for an invalid message."""
     if len(text) > _MAX_MESSAGE:
         raise ValueError(f"the message has {len(text):,} characters; expected at most {_MAX_MESSAGE:,}; send less")
     try:
@@ -400,13 +402,14 @@ def _short(text: str) -> str:
 
 
 def _truth_of(look: Look) -> Any:
-    """What the reference of `look` depends on, at most."""
+    """The key of everything that the reference of `look` can depend on."""
     state = look.state
     numbers = {name: value for name, value in state.numbers.items() if name.startswith("scene.")}
     return state.scene, state.structure, numbers, state.camera, look.light
 
 
 def check_host(handler: tornado.web.RequestHandler) -> None:
-    """Refuses requests for other hosts' names, by which a foreign page could reach this server."""
+    """Refuses requests for other host names. A page of another host could otherwise reach this server (DNS
+    rebinding)."""
     if handler.request.host_name not in (HOST, "localhost"):
         raise tornado.web.HTTPError(403)

@@ -1,4 +1,4 @@
-"""What a page asks for, as it sends it: the settings that it shows, and how it looks at them."""
+"""The messages of a page: its settings and its view of them."""
 
 from typing import Annotated, Literal
 
@@ -7,13 +7,13 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue
 View = Literal[
     "shaded", "visibility", "reference", "error", "acne and leaks", "shadow map", "light's view", "layers of the map"
 ]
-"""What a picture shows."""
+"""The view that a picture shows."""
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-# As far as a camera may be, in world units.
+# The largest coordinate of a camera, in world units.
 Coordinate = Annotated[float, Field(ge=-1e9, le=1e9)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
-# Keys have fewer characters.
+# Names and keys have at most 256 characters.
 Name = Annotated[str, Field(min_length=1, max_length=256)]
 
 
@@ -22,7 +22,7 @@ class _Message(BaseModel):
 
 
 class Camera(_Message):
-    """Where the camera of a page is: `eye` and `target` in world units, and the `height` of a parallel one's image."""
+    """The camera of a page: `eye` and `target` in world units, and the image `height` of a parallel camera."""
 
     eye: Point
     target: Point
@@ -32,10 +32,10 @@ class Camera(_Message):
 class State(_Message):
     """The settings that a page shows.
 
-    - `scene`: the name of a view of the fit; none for the configuration's own scene.
-    - `structure`: what is built otherwise than in the configuration, by dotted key.
-    - `numbers`: what is set otherwise, by dotted key, among the numbers that need no building.
-    - `fitted`: the names of the numbers that a fit finds; none for the configuration's own.
+    - `scene`: the name of a view of the fit, or `None` for the configuration's own scene.
+    - `structure`: the changed values that require building, by dotted key.
+    - `numbers`: the changed numbers that require no building, by dotted key.
+    - `fitted`: the names of the numbers to fit, or `None` for the configuration's own.
     """
 
     scene: Name | None = None
@@ -46,10 +46,11 @@ class State(_Message):
 
 
 class Look(_Message):
-    """What a page wants to see of its settings.
+    """How a page views its settings.
 
-    - `light`: the index of the light that single lights are shown of.
-    - `split`: whether the picture before the changes is shown beside it; or the engine with whose defaults it is shown.
+    - `light`: the index of the light for views of a single light.
+    - `split`: whether to show the picture before the changes next to this one, or the name of an engine to show with
+      its defaults.
     """
 
     state: State
@@ -59,11 +60,11 @@ class Look(_Message):
 
 
 class Message(_Message):
-    """One message of a page: at least one of its parts.
+    """One message of a page. It has at least one part.
 
     - `look`: a picture to draw; `shown`: the number of the picture that the page has shown.
     - `save`, `code`, `fit`: the settings to write as YAML, to convert for engines, or to fit from.
-    - `picture`: what to write as PNG.
+    - `picture`: the picture to write as PNG.
     - `stop`: whether to stop the fit.
     """
 

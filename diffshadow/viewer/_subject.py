@@ -1,4 +1,4 @@
-"""A configuration that is built once, so that its numbers and its camera can change without compiling anything."""
+"""A configuration that is built once. Its numbers and its camera can then change without compilation."""
 
 import dataclasses
 import difflib
@@ -35,23 +35,23 @@ from ._controls import Picker, Slider, pickers_of, sliders_of
 from ._state import Camera, State
 
 FULL_PIXELS = 512 * 512
-"""The most pixels of a picture. Larger images are shown with fewer, and the same aspect."""
-# Decimal digits of positions and angles that are computed rather than given.
+"""The maximum number of pixels of a picture. Larger images are scaled down at the same aspect."""
+# Decimal digits of computed positions and angles.
 _DIGITS = 7
 
 
 class Subject:
     """A configuration as a page shows it.
 
-    Numbers may change within `ranges`, by key, also where sliders end before that.
+    Numbers may change within `ranges`, by key. Sliders may end before that.
 
-    - `box`: the least and the greatest corner of all meshes, in world units. `middle` and `radius`: of the first mesh,
-        which lights that orbit turn around.
-    - `config`: with its camera and its lights given by numbers that controls can change.
-    - `technique`: whose numbers may have any value that their sliders allow.
-    - `laid_out`: the names of the technique's numbers for which its map has to be drawn again.
+    - `box`: the minimum and the maximum corner of all meshes, in world units. `middle` and `radius`: the centre and the
+      radius of the first mesh, which orbiting lights use.
+    - `config`: the configuration, with numbers for its camera and lights that controls can change.
+    - `technique`: the technique. Its numbers may have any value that their sliders allow.
+    - `laid_out`: the names of the technique's numbers that change its map.
     - `follows_camera`: whether the map is laid out for the camera.
-    - `map_key`, `key`: what tells its maps, and its visibility, from other subjects'.
+    - `map_key`, `key`: the keys of its maps and of its visibility, which differ between subjects.
     - `how`: the arguments of `reference.trace_visibility`.
     - `full_size`: (height, width) of its largest pictures, in pixels.
     """
@@ -72,7 +72,7 @@ class Subject:
         self.config = config
         self.technique: Any = _for_all(config, self.sliders)
         paths = fit_paths(config) if isinstance(self.technique, shadow.FittableTechnique) else {}
-        # Others have no bias and no filter.
+        # Other techniques have no bias and no filter.
         self.sliders = {key: each for key, each in self.sliders.items() if not each.is_fittable or key in paths}
         self._paths = {name: path for name, path in paths.items() if name in self.sliders}
         self.laid_out = [name for name, path in self._paths.items() if self.technique.lays_out(path)]
@@ -80,14 +80,14 @@ class Subject:
         self.follows_camera = layout is not None and not isinstance(layout, shadow.SingleMap)
         self.map_key = frozen((config.technique, config.shadow_map, getattr(layout, "margin", None)))
         self.key = frozen((config.technique, config.shadow_map, config.bias, config.filter, config.compare))
-        # Pages compare with rays, also where a file holds the reference.
+        # Pages compare with traced rays, even if the configuration names a stored reference.
         section: Any = config.reference if config.reference.type == "traced" else REFERENCES.make()
         self.how: dict[str, Any] = section.how(config.seed)
         self.full_size = at_most(config.scene.camera.resolution, FULL_PIXELS)
 
     def at(self, state: State) -> Config:
-        """Its configuration with the numbers and the camera of `state`, which are not checked; numbers that it does not
-        have are left out."""
+        """The configuration with the numbers and the camera of `state`. The numbers are not checked, and unknown
+        numbers are ignored."""
         config = self.config
         for name, value in state.numbers.items():
             slider = self.sliders.get(name)
@@ -96,31 +96,31 @@ class Subject:
         return config if state.camera is None else _seen_from(config, state.camera)
 
     def numbers_of(self, config: Config) -> dict[str, float]:
-        """The technique's numbers in `config`, which is one of `at`."""
+        """The technique's numbers in `config`, which `at` returned."""
         return {name: float(value_at(config, name)) for name in self._paths}
 
     def technique_with(self, numbers: dict[str, float]) -> Any:
-        """Its technique with these numbers, which are all that it has."""
+        """The technique with these numbers. `numbers` has all of its numbers."""
         values = as_float(list(numbers.values()))
         return fit.with_values(self.technique, list(self._paths.values()), values)
 
     @property
     def fitted(self) -> list[str]:
-        """The names of what a fit finds, unless others are chosen: as the configuration says, or all that can be
+        """The names of the numbers that a fit finds by default: those of the configuration, or all that can be
         fitted."""
         named = [name for name in self.config.fit.parameters if name in self._paths or name.startswith("scene.")]
         return named or list(self._paths)
 
     def misfits(self, state: State) -> list[str]:
-        """What is wrong with the numbers of `state`, a sentence each. `at` leaves out those that there are not, and
-        keeps the others within their sliders. What another technique, filter or light has is not wrong: pages keep it
-        while such a choice changes."""
+        """The errors in the numbers of `state`, one sentence each. `at` ignores unknown numbers and clips the others to
+        their sliders. Numbers of another technique, filter or light are not errors, because pages keep them while such
+        a choice changes."""
         found = []
         for name in dict.fromkeys([*state.numbers, *(state.fitted or ())]):
             if not self._has(name) and not is_key(name):
-                near = difflib.get_close_matches(name, self.sliders, 1, 0) or ["one that it shows"]
+                near = difflib.get_close_matches(name, self.sliders, 1, 0) or ["a visible one"]
                 found.append(
-                    f"{printable(name)} is no number of this configuration; expected a number with a slider; remove "
+                    f"{printable(name)} is not a number of this configuration; expected a number with a slider; remove "
                     f"it, or name another, such as {near[0]}"
                 )
         for name, value in state.numbers.items():
@@ -133,10 +133,10 @@ class Subject:
         return found
 
     def saved(self, state: State, *, fitting: bool = False) -> Config:
-        """The configuration of `state`, checked: also for a fit from there, if `fitting`. A render of it draws what the
-        page shows. If nothing is chosen to be fitted, it cannot be fitted.
+        """The valid configuration of `state`, and a fit from there if `fitting`. A render of it draws the page's
+        picture. If no number is chosen, it cannot be fitted.
 
-        **Raises** `ConfigError` if it is not valid, and `ValueError` if nothing is chosen for a fit.
+        **Raises** `ConfigError` if it is not valid, and `ValueError` if no number is chosen for a fit.
         """
         config, overrides = self.at(state), []
         names = self.fitted if state.fitted is None else [name for name in state.fitted if self._has(name)]
@@ -148,10 +148,10 @@ class Subject:
         parameters = {name: self._bounds(config, name) for name in names}
         if parameters or state.fitted is not None:
             fitted = changed(config.fit, parameters=parameters)
-            # Preferences among other numbers mean nothing.
+            # Preferences between other numbers have no meaning.
             kept = [each for each in fitted.prefer if {*preferences(changed(fitted, prefer=(each,)))} & {*parameters}]
             overrides = [f"fit.parameters={json.dumps(parameters)}", f"fit.prefer={json.dumps(kept)}"]
-        # Its maps have the margins of the page's maps.
+        # The margins of its maps match the margins of the page's maps.
         whole = changed(config, technique=_wide(config, self.sliders).technique)
         return parse_config(dump_resolved(whole), overrides, source="the page's settings", fitting=fitting)
 
@@ -160,7 +160,7 @@ class Subject:
         return name in self.sliders or of_scene
 
     def _bounds(self, config: Config, name: str) -> dict[str, float]:
-        """The bounds of a fit of the number `name`. A technique's starts at its value."""
+        """The bounds of a fit of the number `name`. A number of the technique starts at its current value."""
         given = config.fit.parameters.get(name)
         if given is not None:
             kept = {"lower", "upper"} if name in self._paths else {"lower", "upper", "initial"}
@@ -170,14 +170,14 @@ class Subject:
 
 
 def at_most(size: tuple[int, int], pixels: int) -> tuple[int, int]:
-    """`size` with at most so many pixels, and about the same aspect."""
+    """`size`, reduced to at most `most` pixels at about the same aspect."""
     height, width = size
     factor = min(1.0, math.sqrt(pixels / (height * width)))
     return max(1, int(height * factor)), max(1, int(width * factor))
 
 
 def _by_numbers(config: Config, built: BuiltMeshes) -> Config:
-    """`config` with its camera at a point, and directional lights by angles."""
+    """`config` with the camera as a point, and directional lights as angles."""
     camera = build_camera(config, built)
     eye, target = (
         tuple((np.asarray(point, np.float64) + built.surroundings.origin).round(_DIGITS).tolist())
@@ -210,17 +210,17 @@ def _seen_from(config: Config, camera: Camera) -> Config:
 
 
 def _for_all(config: Config, sliders: dict[str, Slider]) -> Any:
-    """The technique of `config`, whose numbers may have any value that their sliders allow."""
+    """The technique of `config`. Its numbers may have any value that their sliders allow."""
     try:
         return build_technique(_wide(config, sliders), fitting=True)
     except ConfigError:
-        # A margin of the configuration's own is too narrow for that.
+        # The configuration's own margin is too narrow for the range of the sliders.
         return build_technique(config, fitting=True)
 
 
 def _wide(config: Config, sliders: dict[str, Slider]) -> Config:
-    """`config` with a fit of all numbers of its technique, and maps laid out for that."""
-    # The bounds are not checked: a fit may allow less.
+    """`config` with a fit of all numbers of its technique, and maps with room for their ranges."""
+    # The bounds are not checked, because a fit may allow less.
     bounds = {
         name: _Bounds(slider.low, slider.high, slider.value) for name, slider in sliders.items() if slider.is_fittable
     }
@@ -235,6 +235,6 @@ class _Bounds:
 
 
 def value_at(config: Config, key: str) -> Any:
-    """The value of a dotted key that exists."""
+    """The value of an existing dotted key."""
     step = lambda holder, word: holder[int(word)] if isinstance(holder, tuple) else getattr(holder, word)
     return reduce(step, key.split("."), config)

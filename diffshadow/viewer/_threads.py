@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 
 def start(work: Callable[[], None], stop: Callable[[], None], name: str) -> threading.Thread:
-    """Starts a thread that does `work`.
+    """Starts a thread that calls `work`.
 
-    When Python exits, it calls `stop` and waits for the thread. A thread that is cut off in native code would end the
+    When Python exits, it calls `stop` and waits for the thread. A thread that is killed in native code would end the
     process with an error.
     """
 

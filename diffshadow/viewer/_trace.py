@@ -1,4 +1,4 @@
-"""Traces references of pages at rest: with few rays at first, then with more."""
+"""Traces references for pages at rest, first with few rays and then with more."""
 
 import os
 import sys
@@ -12,14 +12,14 @@ from ..reference import Reference
 from ._reasons import reason_of
 from ._threads import start
 
-# Rays per pixel of the first picture, and by how much each next one has more.
+# Rays per pixel of the first reference, and the factor between references.
 _FIRST, _FACTOR = 4, 4
 _MOST_KEPT = 8
 _NICENESS = 10
 
 
 class Asked(NamedTuple):
-    """A reference: `key` is what it depends on, and `how` the arguments of `reference.trace_visibility`."""
+    """A reference: `key` identifies it, and `how` has the arguments of `reference.trace_visibility`."""
 
     key: Hashable
     scene: Scene
@@ -27,11 +27,11 @@ class Asked(NamedTuple):
 
 
 class Traced(NamedTuple):
-    """What is known of a reference.
+    """The state of a reference.
 
-    - `reference`: with the most rays so far; none if there is none yet.
-    - `is_last`: whether it gets no better.
-    - `reason`: why there is none; empty otherwise.
+    - `reference`: the reference with the most rays so far, or `None`.
+    - `is_last`: whether it has all its rays.
+    - `reason`: why there is no reference; otherwise empty.
     """
 
     reference: Reference | None = None
@@ -40,23 +40,23 @@ class Traced(NamedTuple):
 
 
 class Tracer:
-    """Traces the references that pages ask for, one after another, in a thread that lasts while there are any. Each
-    gets better in several steps.
+    """Traces the references that pages request, one after another, in a thread that lives as long as there are
+    requests. Each reference improves in several steps.
 
-    - `found`: called with the key of each new reference, in that thread.
+    - `found`: called in that thread with the key of each new reference.
     """
 
     def __init__(self, found: Callable[[Hashable], None]):
         self.found = found
         self._known: dict[Hashable, Traced] = {}
-        # What each page asks for.
+        # The request of each page.
         self._asked: dict[Hashable, Asked] = {}
         self._lock = threading.Lock()
         self._thread: threading.Thread | None = None
         self._is_closed = False
 
     def known(self, key: Hashable) -> Traced:
-        """What is known of the reference of `key`."""
+        """The state of the reference of `key`."""
         return self._known.get(key, Traced())
 
     def reference(self, key: Hashable) -> Reference | None:
@@ -64,8 +64,8 @@ class Tracer:
         return self.known(key).reference
 
     def want(self, page: Hashable, key: Hashable, scene: Scene, how: Mapping[str, Any]) -> None:
-        """Traces what `page` shows, unless that is done, after what other pages asked for before. What it asks for
-        already goes on."""
+        """Traces the reference of `page`, unless it is complete, after the earlier requests of other pages. A request
+        that already exists continues."""
         with self._lock:
             asked = self._asked.get(page)
             if self._is_closed or (asked is not None and asked.key == key):
@@ -78,25 +78,25 @@ class Tracer:
                 self._thread = start(self._run, self.close, "tracing")
 
     def rest(self, page: Hashable) -> None:
-        """Stops: `page` no longer shows what it asked for."""
+        """Cancels the request of `page`."""
         with self._lock:
             self._asked.pop(page, None)
 
     def close(self) -> None:
-        """Stops for good."""
+        """Stops permanently."""
         with self._lock:
             self._is_closed = True
             self._asked.clear()
 
     def join(self) -> None:
-        """Waits until nothing is traced."""
+        """Waits until nothing is being traced."""
         thread = self._thread
         if thread is not None:
             thread.join()
 
     def _run(self) -> None:
         if sys.platform == "linux":
-            # Of this thread alone, and the threads that it starts: drawing comes first.
+            # Drawing comes first. The priority is that of this thread and of the threads that it starts.
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
         while True:
             with self._lock:
@@ -115,14 +115,14 @@ class Tracer:
         key, scene, how = asked
 
         def go_on(_: float) -> None:
-            # Pages that show the same share it.
+            # Pages with the same settings share a reference.
             if not any(each.key == key for each in [*self._asked.values()]):
                 raise _AbandonedError
 
         before = self.reference(key)
         try:
             for samples in _steps(scene, **how):
-                # It may have been abandoned after its first steps.
+                # The request may have been cancelled after its first steps.
                 if before is None or before.samples < samples:
                     few = reference.trace_visibility(scene, **{**how, "samples": samples}, progress=go_on)
                     self._publish(key, Traced(few))
@@ -130,7 +130,7 @@ class Tracer:
         except _AbandonedError:
             raise
         except Exception as error:
-            # Such as a camera that sees nothing. Asking again would not help.
+            # For example, the camera sees nothing. Another attempt would not help.
             self._publish(key, Traced(is_last=True, reason=reason_of(error)))
 
     def _publish(self, key: Hashable, made: Traced) -> None:
@@ -143,11 +143,11 @@ class Tracer:
 
 
 class _AbandonedError(Exception):
-    """The reference is no longer asked for."""
+    """The reference is no longer requested."""
 
 
 def _steps(scene: Scene, samples: int, supersampling: int, **_: Any) -> Iterator[int]:
-    """The rays per pixel of the references before the last one."""
+    """The rays per pixel of all references except the last."""
     few = _FIRST * supersampling**2
     while scene.light.has_size and few < samples:
         yield few

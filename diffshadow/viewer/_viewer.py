@@ -1,4 +1,4 @@
-"""What a page asks for, computed: pictures with figures, configurations and code. It knows nothing of browsers."""
+"""Answers a page's requests: pictures with figures, configurations and code. This module is independent of browsers."""
 
 import io
 import json
@@ -22,25 +22,25 @@ from ._subject import Subject, value_at
 from ._trace import Tracer
 
 _QUALITY = 90
-# Pixels of a full picture that are drawn in time while a slider is dragged, also with many taps.
+# The largest full picture that is fast enough while a slider moves, in pixels, even with many taps.
 _FAST_PIXELS = 256 * 256
 _ANGLES = ("azimuth", "elevation")
 
 
 class Shown(NamedTuple):
-    """A picture of a page: a JPEG, and what is said about it."""
+    """A picture for a page: a JPEG and its description."""
 
     jpeg: bytes
     about: dict[str, Any]
 
 
 class Viewer:
-    """A configuration, and all that pages show of it.
+    """A configuration and everything that pages show of it.
 
-    - `name`: what the configuration was given as, for commands that can be pasted.
-    - `traced`: called with the key of each new reference, in another thread; `fitted` with the news of a fit.
+    - `name`: the configuration's name on the command line, for commands that can be pasted.
+    - `traced`: called in another thread with the key of each new reference. `fitted` is called with the news of a fit.
 
-    Its methods may be called from several threads, which then share what is drawn.
+    Several threads may call its methods. They share the drawn results.
     """
 
     def __init__(
@@ -64,13 +64,13 @@ class Viewer:
     def subject(self, state: State) -> Subject:
         """The configuration with the structure of `state`.
 
-        **Raises** `ConfigError` if it is not valid, or cannot be built.
+        **Raises** `ConfigError` if it is invalid or cannot be built.
         """
         key = json.dumps([state.scene, list(state.structure.items())])
         return self._subjects(key, lambda: Subject(self._structured(state)))
 
     def misfits(self, state: State) -> list[str]:
-        """What is wrong with `state` beside its structure, a sentence each. Its pictures go without."""
+        """The errors in `state`, except in its structure, one sentence each. Pictures ignore them."""
         wrong = []
         if state.scene is not None and state.scene not in self.scenes:
             among = ", ".join(self.scenes)
@@ -81,9 +81,9 @@ class Viewer:
         return [*wrong, *self.subject(state).misfits(state)]
 
     def _checked(self, state: State) -> State:
-        """`state` without the numbers that its subject has not.
+        """`state` without numbers that its subject does not have.
 
-        **Raises** `ValueError` if something is wrong with it.
+        **Raises** `ValueError` if `state` has errors.
         """
         for sentence in self.misfits(state):
             raise ValueError(sentence)
@@ -91,7 +91,7 @@ class Viewer:
         return state.model_copy(update={"numbers": {k: value for k, value in state.numbers.items() if k in known}})
 
     def close(self) -> None:
-        """Stops what it traces and fits, for good."""
+        """Stops tracing and fitting permanently."""
         self.tracer.close()
         self.fit.stop()
 
@@ -108,19 +108,19 @@ class Viewer:
         return parse_config(dump_resolved(config), overrides_of(state.structure), source="the page's settings")
 
     def frame(self, look: Look, *, full: bool) -> Frame:
-        """What `look` shows, in full or half size."""
+        """The picture of `look`, at full or half size."""
         subject = self.subject(look.state)
         height, width = subject.full_size
         size = (height, width) if full else (max(height // 2, 1), max(width // 2, 1))
         return Frame(self.cache, subject, look, size)
 
     def show(self, look: Look, *, at_rest: bool) -> Shown:
-        """A picture of `look`. While it moves, it is of half the size if surface or map are to be drawn, and if it is
-        large. Views of the reference have no other size."""
+        """A picture of `look`. While it moves, large pictures and pictures with a new surface or map have half the
+        size. Views of the reference always have full size."""
         return self.shown(look, full=at_rest or self._is_fast(look))
 
     def _is_fast(self, look: Look) -> bool:
-        """Whether a full picture of `look` comes fast enough while it moves."""
+        """Whether a full picture of `look` is fast enough while it moves."""
         frame = self.frame(look, full=True)
         if frame.moves:
             return False
@@ -128,7 +128,7 @@ class Viewer:
         return of_truth or frame.size[0] * frame.size[1] <= _FAST_PIXELS
 
     def shown(self, look: Look, *, full: bool) -> Shown:
-        """A picture of `look` in full or half size."""
+        """A picture of `look` at full or half size."""
         started = time.perf_counter()
         frame = self.frame(look, full=full)
         known = self.tracer.known(self.frame(look, full=True).truth_key)
@@ -159,7 +159,7 @@ class Viewer:
         return frame.truth_key
 
     def controls(self, state: State) -> dict[str, Any]:
-        """What a page needs to make its controls."""
+        """The data for a page's controls."""
         subject = self.subject(state)
         camera: Any = subject.config.scene.camera
         return {
@@ -181,9 +181,9 @@ class Viewer:
         }
 
     def save(self, state: State) -> dict[str, Any]:
-        """The configuration of `state` as YAML, and the command that draws the same.
+        """The configuration of `state` as YAML, and the command that draws it.
 
-        **Raises** `ValueError` if something is wrong with `state`.
+        **Raises** `ValueError` if `state` has errors.
         """
         state = self._checked(state)
         config = self.subject(state).saved(state)
@@ -191,7 +191,7 @@ class Viewer:
         return {"yaml": dump_resolved(config), "name": f"{config.name}-view.yaml", "command": shlex.join(command)}
 
     def png(self, look: Look) -> str:
-        """The full picture of `look` as PNG, in base64. It is not compared with another."""
+        """The full picture of `look` as a PNG in base64, without a second picture to compare with."""
         frame = self.frame(look, full=True)
         picture = picture_of(frame, look.view, self.tracer.reference(frame.truth_key))
         out = io.BytesIO()
@@ -209,7 +209,7 @@ class Viewer:
     def code(self, look: Look) -> str:
         """The settings of `look` for engines: code, or a table of biases and radii.
 
-        **Raises** `ConfigError` for settings that no engine has, and `ValueError` if something is wrong with them.
+        **Raises** `ConfigError` for settings that no engine has, and `ValueError` if `state` has errors.
         """
         state = self._checked(look.state)
         config = self.subject(state).saved(state)
@@ -219,7 +219,7 @@ class Viewer:
         return text.file.getvalue()  # type: ignore[attr-defined]
 
     def _before(self, frame: Frame, look: Look, like: Picture) -> Picture:
-        """The same view under the configuration's own technique, or the defaults of an engine."""
+        """The same view with the configuration's own technique, or with the defaults of an engine."""
         scene = {key: value for key, value in look.state.structure.items() if key.startswith("scene.")}
         if isinstance(look.split, str):
             scene["technique"] = {"type": look.split}
@@ -234,9 +234,9 @@ class Viewer:
 
 
 def settings_of(state: State, given: Config, now: Config) -> dict[str, Any]:
-    """All that `state` changes of a configuration, by dotted key, in the order in which it can be set.
+    """All changes of `state`, by dotted key, in the order in which they can be set.
 
-    **Arguments:** the configuration as it was `given`, and as it is `now`.
+    **Arguments:** `given`: the original configuration. `now`: the changed configuration.
     """
     settings: dict[str, Any] = dict(state.structure)
     for name in state.numbers:
@@ -248,7 +248,7 @@ def settings_of(state: State, given: Config, now: Config) -> dict[str, Any]:
         if moved and getattr(value_at(given, key), "direction", None) is not None:
             settings |= {f"{key}.direction": None, **{f"{key}.{a}": value_at(now, f"{key}.{a}") for a in _ANGLES}}
     if any(name.partition(".")[0] == "filter" for name in settings):
-        # Left out, they would follow the filter.
+        # Without this value, they would follow the filter.
         settings |= {name: value_at(now, name) for name in ("bias.constant", "bias.slope", "bias.normal_offset")}
     if state.camera is not None:
         if getattr(given.scene.camera, "orbit", None) is not None:

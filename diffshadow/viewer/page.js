@@ -4,13 +4,13 @@
 const $ = (id) => document.getElementById(id);
 const picture = $("picture"), context = picture.getContext("2d");
 const PAUSE = 400; // milliseconds without a change after which an undo step ends
-const SUN_AT = [1.3, 1, 0.7, 0.5]; // radii of the first mesh from its middle: the first that is in the picture
-const TURN = 0.4, KEY_TURN = 4, KEY_ZOOM = 1.08; // degrees a pixel, degrees a key, factor a key
+const SUN_AT = [1.3, 1, 0.7, 0.5]; // distances from the first mesh's centre, in its radii: the first inside the picture is used
+const TURN = 0.4, KEY_TURN = 4, KEY_ZOOM = 1.08; // degrees per pixel, degrees per key press, factor per key press
 
 const blank = () => ({ scene: null, structure: {}, numbers: {}, camera: null, fitted: null });
 let look = { state: blank(), view: "shaded", light: 0, split: false };
 let controls = null, images = null;
-const rows = new Map(); // by key: what sets a slider to a value
+const rows = new Map(); // by key: the function that sets a slider's value
 const done = [], undone = []; // steps of undo and redo
 let settled = JSON.stringify(look), pause = 0;
 
@@ -51,7 +51,7 @@ async function show(data) {
   send({ shown: about.number });
   fill($("view"), about.views.includes(look.view) ? about.views : [look.view, ...about.views], look.view);
   say("figures", sentence(about));
-  // Those of the picture before, until this one is at rest.
+  // These figures belong to the previous picture until this picture is at rest.
   $("figures").classList.toggle("old", !about.is_full);
   say("note", `${about.size[1]} × ${about.size[0]} pixels in ${about.milliseconds} ms`);
   document.body.dataset.full = about.is_full; // for tests
@@ -73,7 +73,7 @@ function paint() {
 }
 
 function sentence({ figures, rays, is_full, view, untraced }) {
-  // The reference is still that of the figures; those of the new settings follow at rest.
+  // The figures still use the old reference. They are updated at rest.
   if (!is_full) return rays ? $("figures").textContent : "";
   if (untraced) return untraced;
   const waits = view !== look.view ? `; ${look.view} follows` : "";
@@ -94,7 +94,7 @@ function change(edit) {
   mark();
 }
 
-// A fit is one step: it is settled when it ends.
+// A fit is one undo step, which is complete when the fit ends.
 function settle(evenInFit = false) {
   const now = JSON.stringify(look);
   if (now === settled || (isFitting && !evenInFit)) return;
@@ -116,7 +116,7 @@ function adopt(text) {
 const undo = () => step(done, undone);
 const redo = () => step(undone, done);
 
-// Takes the last of the steps `from`, and keeps the present settings among the steps `to`.
+// Takes the last step of `from`, and adds the present settings to `to`.
 function step(from, to) {
   clearTimeout(pause);
   settle();
@@ -132,14 +132,14 @@ function buttons() {
   $("redo").disabled = !undone.length;
 }
 
-// Sets all controls to the state's values.
+// Sets all controls to the values of the state.
 function refresh() {
   for (const [key, { set, slider }] of rows) set(look.state.numbers[key] ?? slider.value);
   $("split").value = look.split === true ? OWN : look.split ? `${look.split} defaults` : NOTHING;
   mark();
 }
 
-// Shows which numbers differ from the configuration's, and where the sun is.
+// Marks the numbers that differ from the configuration's, and shows the position of the sun.
 function mark() {
   for (const [key, { row, slider }] of rows) row.classList.toggle("changed", (look.state.numbers[key] ?? slider.value) !== slider.value);
   placeLamp();
@@ -152,12 +152,12 @@ function mark() {
 
 const value = (key) => look.state.numbers[key] ?? rows.get(key)?.slider.value;
 
-// --- Controls, made from what the server knows of the configuration ---
+// --- Controls, made from the server's description of the configuration ---
 
-// What most people turn, in this order, before all else.
+// The settings that most people change come first, in this order.
 const TUNED = [/^bias\.(constant|slope|normal_offset)$/, /^technique\.(constant_|slope_|normal_)?bias$/, /^(filter|technique)\.radius$/,
   /^scene\.lights?\..*(azimuth|elevation)$/, /^scene\.lights?\.(\d+\.)?position\./];
-// Choices that do not fold away.
+// Choices that are always visible.
 const MAIN = /(^technique|^filter|^scene\.lights?(\.\d+)?)\.type$|^shadow_map\.resolution$|^filter\.samples$/;
 const GROUPS = [["technique", "Technique", true], ["filter", "Filter", true], ["shadow_map", "Shadow map", true],
   ["scene.light", "Light", true], ["bias", "Bias", false], ["compare", "Compare", false],
@@ -168,7 +168,7 @@ function build(given) {
   controls = given;
   document.title = `${given.name} – diffshadow`;
   const { numbers } = look.state;
-  // Numbers that this technique does not have.
+  // Removes numbers that this technique does not have.
   const own = new Map(given.sliders.map((slider) => [slider.key, slider]));
   for (const key of Object.keys(numbers)) {
     if (own.has(key)) numbers[key] = Math.min(Math.max(numbers[key], own.get(key).low), own.get(key).high);
@@ -196,7 +196,7 @@ function build(given) {
   $("scene-label").hidden = !given.scenes.length;
   $("sky-figure").hidden = !sunKeys().length;
   refresh();
-  // Its values were taken as they came; the sliders may have moved since.
+  // The first values were used unchanged; the sliders may have moved since.
   showFit(given.fit);
 }
 
@@ -206,14 +206,14 @@ const group = (title, open, parts, className = "") => {
   return made;
 };
 
-// Shows only the settings whose name or meaning holds the words that are searched for.
+// Shows only the settings whose name or description contains the search words.
 function find() {
   const words = $("search").value.toLowerCase().split(/[\s._]+/).filter(Boolean);
   const all = document.querySelectorAll("#tune .number, #controls .number, #controls .choice");
   for (const row of all) row.classList.toggle("unfound", !words.every((word) => row.dataset.words.includes(word)));
   for (const made of document.querySelectorAll("#controls details")) {
     made.classList.toggle("unfound", words.length > 0 && !made.querySelector(".number:not(.unfound), .choice:not(.unfound)"));
-    // Those that were folded away fold again.
+    // Groups that were folded before the search fold again.
     made.dataset.was ??= made.open;
     made.open = words.length > 0 || made.dataset.was === "true";
     if (!words.length) delete made.dataset.was;
@@ -221,7 +221,7 @@ function find() {
 }
 
 const element = (tag, text, of = {}) => Object.assign(document.createElement(tag), { textContent: text }, of);
-// Of the third of several lights, "2.azimuth"; of the only one, "azimuth".
+// The short name of a light's setting: "2.azimuth" for the third of several lights, "azimuth" for a single light.
 const short = (key, prefix) => key.slice(prefix.length).replace(/^s?\./, "") || key;
 
 function fill(select, options, chosen) {
@@ -279,7 +279,7 @@ function choice(picker, prefix) {
     const to = labels.length ? picker.options.find(([label]) => label === field.value)?.[1] : Number(field.value);
     const section = picker.sets + ".";
     if (picker.sets !== picker.key) {
-      // Another section: its numbers go on, where it has them too.
+      // A new section keeps the numbers that it also has.
       for (const { key, value: own } of controls.sliders) if (key.startsWith(section)) state.numbers[key] ??= own;
       for (const key of Object.keys(state.structure)) if (key.startsWith(section)) delete state.structure[key];
     }
@@ -318,7 +318,7 @@ const orbit = (across, upward) => move((camera, away, up, right) => {
   camera.eye = add(camera.target, turned(turned(away, right, -rise * Math.PI / 180), up, -across * Math.PI / 180));
 });
 
-// By fractions of the image's height.
+// In fractions of the image's height.
 const pan = (across, upward) => move((camera, away, up, right) => {
   const tall = camera.height ?? 2 * Math.hypot(...away) * Math.tan((value("scene.camera.fov_y") ?? 40) * Math.PI / 360);
   const shift = add(right.map((x) => x * -across * tall), unit(cross(away, right)), -upward * tall);
@@ -358,7 +358,8 @@ picture.onkeydown = (event) => {
   event.preventDefault();
 };
 
-// The axes of the camera's image, and half its sizes at distance 1 (for a parallel camera, at any).
+// The axes of the camera's image, and half its width and height at distance 1. For a parallel camera, the distance does
+// not matter.
 function lens() {
   const { eye, target, height } = look.state.camera ?? controls.camera;
   const away = unit(add(eye, target, -1)), right = unit(cross(unit(controls.up), away));
@@ -367,7 +368,7 @@ function lens() {
     wide: half * controls.resolution[1] / controls.resolution[0] };
 }
 
-// Turns nothing: moves the camera until the box of all meshes fills the picture.
+// Moves the camera without turning it, until the box of all meshes fills the picture.
 function frameAll() {
   const { low, high } = controls.box, middle = low.map((x, i) => (x + high[i]) / 2);
   const corners = [0, 1, 2, 3, 4, 5, 6, 7].map((n) => low.map((x, i) => (n >> i & 1 ? high[i] : x) - middle[i]));
@@ -378,18 +379,18 @@ function frameAll() {
     if (camera.height) camera.height *= most((c) => Math.max(Math.abs(dot(c, right)) / wide, Math.abs(dot(c, up)) / tall));
     camera.target = middle;
     camera.eye = add(middle, away, camera.height ? Math.hypot(...add(camera.eye, camera.target, -1)) : distance);
-    // A far plane of the configuration's own may be too near.
+    // The configuration's far plane may be too near.
     const far = rows.get("scene.camera.far"), needed = distance + controls.size / 2;
     if (far && needed > value("scene.camera.far")) look.state.numbers["scene.camera.far"] = Math.min(needed, far.slider.high);
   });
   refresh();
 }
 
-// --- The light in the picture: a lamp at its place, or the direction that the light comes from, near the first mesh ---
+// --- The light in the picture: the position of a lamp, or a sun's direction shown near the first mesh ---
 
-let held = null; // while it is dragged: the last event, and how far the handle is from the middle
+let held = null; // during a drag: the last event, and the offset from the handle's centre
 
-// Where it is, and by which numbers it moves.
+// The light's position, and the numbers that move it.
 function lampAt() {
   const name = controls?.lights[look.light] ?? "", [azimuth, elevation] = sunKeys();
   const place = [0, 1, 2].map((i) => `${name}.position.${i}`);
@@ -404,7 +405,7 @@ function lampAt() {
   return handles.find(isShown) ?? handles[0];
 }
 
-// A point of the world in pixels of the page, from the middle of the picture; none behind the camera.
+// A point of the world in pixels of the page, from the picture's centre; null behind the camera.
 function projected(point, { eye, isParallel, away, right, up, tall }, half) {
   const from = add(point, eye, -1), depth = isParallel ? 1 : -dot(from, away);
   return depth > 0 ? [dot(from, right), -dot(from, up)].map((x) => x / depth / tall * half) : null;
@@ -427,14 +428,14 @@ function placeLamp() {
   $("lamp").style.top = `${picture.offsetTop + picture.clientHeight / 2 + y}px`;
 }
 
-// Moves the light so far, in pixels of the page: a lamp with a place stays as far from the image, others turn.
+// Moves the light by an offset in pixels of the page. A lamp with a position keeps its depth; other lights turn.
 function moveLamp(dx, dy) {
   const lamp = lampAt(), by = lens(), [, tall] = shownHalf(), { eye, away, right, up, isParallel } = by;
   const depth = isParallel ? 1 : -dot(add(lamp.at, eye, -1), away), scale = depth * by.tall / tall;
   const to = add(add(lamp.at, right, dx * scale), up, -dy * scale), found = {};
   if (lamp.keys.length === 3) lamp.keys.forEach((key, i) => { found[key] = to[i]; });
   else {
-    // On the sphere around the mesh: where the line of sight meets it, on the side where the light was.
+    // The line of sight meets the sphere around the mesh. Of the two points, take the one on the light's side.
     const sight = isParallel ? away.map((x) => -x) : unit(add(to, eye, -1)), from = isParallel ? add(to, away, lamp.far) : eye;
     const start = add(from, controls.middle, -1), b = dot(start, sight), root = b * b - dot(start, start) + lamp.far ** 2;
     const meets = root < 0 ? [add(start, sight, -b)] : [-1, 1].map((sign) => add(start, sight, -b + sign * Math.sqrt(root)));
@@ -491,10 +492,10 @@ function aim(event) {
 
 let curve = [], shownFit = 0, ownFit = null, fittedOf = "", isFitting = false;
 
-// What a fit's values belong to.
+// The settings that a fit's values are valid for.
 const structure = () => JSON.stringify([look.state.scene, look.state.structure]);
 
-// The sliders follow a fit that this page has started, unless it shows another filter, technique or scene since.
+// The sliders follow a fit that this page started, until it shows another filter, technique or scene.
 function followFit(news) {
   if (news.number === ownFit && news.values && fittedOf === structure()) take(news.values);
   showFit(news);
@@ -541,7 +542,7 @@ function drawCurve() {
   on.font = "20px system-ui";
   on.fillText(`RMSE ${(10 ** errors[0]).toPrecision(3)} → ${(10 ** errors.at(-1)).toPrecision(3)}, soft compare`, 8, 18);
   on.beginPath();
-  // A phase has a width of the soft compare of its own, so its errors compare with one another only.
+  // The soft compare has a different width in each phase, so errors of different phases do not compare.
   curve.forEach((step, i) => (i && step.phase === curve[i - 1].phase ? on.lineTo(...at(i)) : on.moveTo(...at(i))));
   on.stroke();
 }
@@ -589,7 +590,7 @@ $("split").onchange = () => {
 };
 $("divider").oninput = paint;
 addEventListener("keydown", (event) => {
-  // Fields have an undo of their own.
+  // Text fields have their own undo.
   if (["number", "search"].includes(event.target.type)) return;
   const key = event.key.toLowerCase();
   if (event.ctrlKey || event.metaKey) {

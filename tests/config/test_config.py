@@ -236,7 +236,7 @@ technique: {method: z_fail}
     2: technique.method: is not a key of technique (type: shadow_map); expected type; remove it, or set technique.type
     to perspective_warp or shadow_volumes
 technique:↵  type: projective_texture
-    3: technique.type: projects shadows onto meshes that do not cast, and all of scene.meshes cast; expected a mesh
+    3: technique.type: projects shadows only onto meshes that do not cast, but all of scene.meshes cast; expected a mesh
     that does not cast; set casts: false for the receivers
 shadow_map: {silhouettes: true, cull: front}
     2: shadow_map.cull: is front with silhouettes; expected none; remove it, or set shadow_map.silhouettes to false
@@ -249,7 +249,7 @@ shading: {ambient: [0, 0]}
     2: shading.ambient: is [0, 0]; expected a number, or three [red, green, blue], at least 0; write a list such as
     [0.8, 0.8, 0.8]
 fit: {parameters: {bias.slope_most: {lower: 0, upper: 1}}}
-    2: fit.parameters.bias.slope_most: has no start, since bias.slope_most is not set; expected an initial value
+    2: fit.parameters.bias.slope_most: has no start, because bias.slope_most is not set; expected an initial value
     within the bounds; add initial, or set bias.slope_most
 filter: {type: esm}↵fit: {parameters: {filter.exponent: {lower: 0, upper: 90}}}
     3: fit.parameters.filter.exponent.upper: is 90; expected a number at most 80, as for filter.exponent; lower it
@@ -487,7 +487,7 @@ def test_missing_mesh_file_names_the_nearest(tmp_path):
     first, second = str(caught.value).splitlines()
     assert first == (
         f"{file}:4: scene.meshes.1.path: there is no file {tmp_path / 'buny.obj'}; "
-        "expected one that can be read; did you mean 'bunny.obj'?"
+        "expected a readable file; did you mean 'bunny.obj'?"
     )
     assert second == (
         f"{file}:5: scene.meshes.1.options: are given with a mesh file; "
@@ -605,9 +605,9 @@ def test_byte_order_mark_and_windows_line_ends_are_fine(tmp_path):
         ("filter.sampels=64", "filter.sampels: is not a key of filter (type: random_disk)"),
         ("filter.type=pcf4", "filter.type: is 'pcf4'"),
         ("bias.slope=-1", "bias.slope: is -1"),
-        ("bias.slope", "is no KEY=VALUE; expected a dotted key; write filter.radius=2"),
-        ("=3", "is no KEY=VALUE"),
-        ("bias..slope=3", "is no KEY=VALUE"),
+        ("bias.slope", "is not KEY=VALUE; expected a dotted key; write filter.radius=2"),
+        ("=3", "is not KEY=VALUE"),
+        ("bias..slope=3", "is not KEY=VALUE"),
         ("bias.slope=[1", "is not YAML: expected ',' or ']', but got the end; close the list with ']'"),
         ("bias={slope: 1, slope: 2}", "bias.slope: is given twice"),
         ("seed.x=3", "seed.x: is inside seed, which is 0; expected a section; set seed as a whole"),

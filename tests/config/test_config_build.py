@@ -87,7 +87,7 @@ def test_a_scene_far_from_the_worlds_origin_is_the_same_one(light):
 def test_a_mistake_in_a_far_scene_says_what_coordinates_are_counted_from():
     mesh, camera = "{path: 'builtin:box', translate: [X0, Y0, Z0]}", "{eye: [X1, Y1, Z1], target: [X1, Y1, Z1]}"
     text = f"scene: {{meshes: [{mesh}], camera: {camera}}}"
-    with pytest.raises(ConfigError, match=r"\[1.0, 1.0, 1.0\].*counted from the scene's origin, \[600000.0, -8000.0"):
+    with pytest.raises(ConfigError, match=r"\[1.0, 1.0, 1.0\].*relative to the scene's origin, \[600000.0, -8000.0"):
         build_scene(parse_config(placed_at(text, FAR)))
 
 
@@ -472,7 +472,7 @@ def test_open_caster_is_refused_where_back_faces_cast_for_it():
         build_scene(parse_config(CASTING.format(box="true"), source="file.yaml"))
     assert str(caught.value).startswith(
         "file.yaml:3: scene.meshes.0: is an open mesh that casts shadows, while shadow_map.cull is front; expected "
-        "closed meshes, since only back faces cast: set casts: false if it only receives"
+        "closed meshes, because only back faces cast: set casts: false if it only receives"
     )
     volumes = parse_config(CASTING.format(box="true"), ["technique.type=shadow_volumes"])
     assert build_scene(volumes).receivers is None
@@ -608,7 +608,7 @@ def test_an_engines_numbers_are_its_own():
         ("fit.parameters={scene.light.position.x: {lower: 0, upper: 1}}", r"is three\.js in a fit of lights or meshes"),
         (
             "technique={type: three.js, shadow_type: PCFShadowMap}",
-            r"shadow_map.resolution: is \[32, 64\], and a light is point, whose map is a cube's faces",
+            r"shadow_map.resolution: is \[32, 64\], and a light is point, and engines draw its map as a cube's faces",
         ),
     ],
 )

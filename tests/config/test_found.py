@@ -108,7 +108,7 @@ def test_a_mesh_that_lies_across_z_is_turned():
     io.write_ply("standing.ply", np.stack([v[:, 0], -v[:, 2], v[:, 1]], axis=-1), np.asarray(mesh.faces))
     config = load_config("standing.ply")
     assert config.scene.meshes[0].rotate == (-90, 0, 0)
-    assert "z is taken as up" in config.notes[0]
+    assert "z is up" in config.notes[0]
     assert len(config.scene.meshes) == 1
 
 
@@ -131,7 +131,7 @@ def test_a_flat_foot_across_z_is_a_remark_on_gltf():
         ("builtin:quikstart", "did you mean 'quickstart'"),
         ("none.glb", "there is no mesh file"),
         ("bad.glb", "is not JSON"),
-        (("quickstart",), "exists already; expected no such file"),
+        (("quickstart",), "exists already; expected a new file"),
         (("quikstart",), "did you mean 'quickstart'"),
         (("many_views", Path("none.obj")), "lists its meshes in the sections"),
     ],

@@ -53,7 +53,7 @@ def test_any_other_file_is_taken_as_it_is():
 @pytest.mark.parametrize(
     ("result", "message"),
     [
-        ({"kind": "fit", "fitted": {}}, "it has no fitted.yaml; expected that file; run it again, since"),
+        ({"kind": "fit", "fitted": {}}, "it has no fitted.yaml; expected that file; run it again, because"),
         ({"kind": "advise"}, "it has no recommended.yaml"),
         ({"kind": "sweep"}, "holds a sweep; expected a single run"),
         ({**SWEPT, "status": "failed", "metrics": {}}, "holds a run that failed"),

@@ -196,15 +196,21 @@ def test_the_settings_of_a_users_filter_are_its_keys(load):
         ("filter={type: own_pieces:Cross, gain: 3}", "filter.gain: is 3; expected a number at least 0 and at most 2"),
         ("filter={type: own_pieces:Cross, taps: 1.5}", "filter.taps: is 1.5; expected a whole number"),
         ("filter={type: own_pieces:Cross, shape: round}", "filter.shape: is 'round'; expected plus or times"),
-        ("filter={type: own_pieces:Needy}", "filter.type: is own_pieces:Needy, whose field other is no number"),
+        ("filter={type: own_pieces:Needy}", "filter.type: is own_pieces:Needy, whose field other is not a number"),
         ("filter={type: own_pieces:Unfinished}", "filter.type: is own_pieces:Unfinished, which lacks __call__;"),
-        ("filter={type: own_pieces:Power}", "filter.type: is own_pieces:Power, which is no shadow.AbstractFilter;"),
+        ("filter={type: own_pieces:Power}", "filter.type: is own_pieces:Power, which is not a shadow.AbstractFilter;"),
         ("filter={type: own_pieces:Crossing}", "filter.type: names Crossing, which own_pieces does not have; expected"),
         ("filter={type: own_peaces:Cross}", "filter.type: names the module own_peaces, which Python does not find;"),
         ("filter={type: broken_pieces:Cross}", "cannot be imported (ModuleNotFoundError: No module named 'no_such_mod"),
         ("filter={type: 'own pieces:Cross'}", "filter.type: is own pieces:Cross; expected a module and a name in it;"),
-        ("fit.loss={type: own_pieces:NUMBER}", "fit.loss.type: is own_pieces:NUMBER, which is no function; expected"),
-        ("technique={type: own_pieces:Cross}", "which is no shadow.AbstractTechnique; expected a class that inherits"),
+        (
+            "fit.loss={type: own_pieces:NUMBER}",
+            "fit.loss.type: is own_pieces:NUMBER, which is not a function; expected",
+        ),
+        (
+            "technique={type: own_pieces:Cross}",
+            "which is not a shadow.AbstractTechnique; expected a class that inherits",
+        ),
     ],
 )
 def test_each_mistake_is_one_error_at_its_place(override, message, load):

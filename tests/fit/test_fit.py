@@ -409,7 +409,7 @@ def test_impossible_fits_are_refused(known):
     with refuses("there is no parameter 'filter.radius'"):
         fit(eqx.tree_at(lambda p: p.technique, known, technique(Nearest())), [RADIUS])
     soft = eqx.tree_at(lambda p: p.technique, known, disk(compare=SoftCompare(1.0)))
-    with refuses("compare.width cannot be fitted, since the fit itself makes the compare harden; leave it out"):
+    with refuses("compare.width cannot be fitted, because the fit itself anneals the compare; leave it out"):
         fit(soft, [Parameter("compare.width", 1.0, 0.1, 2.0)])
 
 

@@ -129,7 +129,7 @@ def first(technique):
 def test_nonsense_is_refused(views):
     with pytest.raises(ValueError, match="got no view to train on; expected one or more problems"):
         train([], numbers)
-    with pytest.raises(ValueError, match="where selects no number of the technique; expected some"):
+    with pytest.raises(ValueError, match="where selects no number of the technique; expected numbers"):
         train(views, lambda technique: technique.compare)
     with pytest.raises(ValueError, match="a number starts below its lower bound; expected no number below it"):
         train(views, numbers, lower=1.0)

@@ -47,7 +47,7 @@ _CHUNK = 300
 """Cases that a process runs: what is compiled stays in memory as long as the process lives."""
 
 # What follows the place in a message about no key: the file is no YAML, or overrides are none.
-_NO_KEY = ("is not YAML: ", "holds ", "has the key ", "is no KEY=VALUE; ", "sections or lists are nested ")
+_NO_KEY = ("is not YAML: ", "holds ", "has the key ", "is not KEY=VALUE; ", "sections or lists are nested ")
 _PLACE = re.compile(r"(?s:.*?\.yaml(?:'|\")?):\d+: |override .*?['\"]: ")
 _RANGES = {"ssim": (-1.0, 1.0)}
 _MEASURED = {"rmse", "mae", "ssim", "false_shadow_rate", "false_light_rate"}

@@ -27,7 +27,7 @@ def test_a_case_depends_on_seed_and_number_alone():
         ("a.yaml:3: filter.radius: is x; expected a number; give one", ""),
         ("a.yaml:3: is not YAML: found a tab (column 2); indent with spaces", ""),
         ("override 'seed=x': seed: is 'x'; expected a whole number; give one", ""),
-        ("override 'seed': is no KEY=VALUE; expected a dotted key; write it so", ""),
+        ("override 'seed': is not KEY=VALUE; expected a dotted key; write it so", ""),
         ("a.yaml: seed: is 'x'; expected a whole number; give one", "no place"),
         ("seed: is 'x'; expected a whole number; give one", "no place"),
         ("a.yaml:3: is 'x'; expected a whole number: give one", "no key"),

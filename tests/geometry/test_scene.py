@@ -43,7 +43,7 @@ def test_casters_and_receivers_are_parts_of_the_mesh():
     [
         ([], None, "the scene has no mesh; expected a mesh, or several"),
         ([BOX, PLANE], (True,), "casts has 1 entry, and the scene has 2 meshes; expected one each"),
-        ([BOX, PLANE], (False, False), "no mesh of the scene casts shadows; expected one that does"),
+        ([BOX, PLANE], (False, False), "no mesh of the scene casts shadows; expected at least one"),
     ],
 )
 def test_scenes_without_casters_are_refused(meshes, casts, message):

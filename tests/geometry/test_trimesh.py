@@ -183,7 +183,7 @@ def test_objects_without_triangles_get_one_clear_error(given, message):
 def test_paths_of_a_scene_are_left_out_with_a_warning():
     given = two_boxes()
     given.add_geometry(trimesh.PointCloud(np.zeros((4, 3))), geom_name="cloud")
-    with pytest.warns(UserWarning, match="the scene is taken without cloud: expected faces"):
+    with pytest.warns(UserWarning, match="the scene is used without cloud: expected faces"):
         Scene(given, CAMERA, LIGHT)
 
 

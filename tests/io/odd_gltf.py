@@ -287,7 +287,7 @@ LEFT_OUT = {
     "lines": (built(with_lines), "4 points and 9 lines"),
     "skin_missing": (
         built(skin_missing),
-        "1 skin of figure that cannot be read, so that its size and place are those of its vertices and its node",
+        "1 skin of figure that cannot be read, so its size and position come from its vertices and its node",
     ),
     "hidden_twin": (built(hidden_twin), "1 hidden mesh"),
     "with_an_extension": (built(with_an_extension), "1 extension ACME_new_triangles"),
@@ -389,7 +389,7 @@ REFUSALS = {
     "unknown_extension": (required("ACME_new_triangles"), "requires ACME_new_triangles"),
     "lines_alone": (lines_alone, "holds 3 lines but no triangles"),
     "looped": (looped, "node 0 has two parents, or is its own ancestor"),
-    "uneven_instances": (uneven_instances, "its instances have 2 and 3 rows; expected as many of each"),
+    "uneven_instances": (uneven_instances, "its instances have 2 and 3 rows; expected the same number of each"),
     "countless_instances": (
         countless_instances,
         "16,777,216 instances; expected at most 4,194,304",
@@ -420,7 +420,7 @@ REFUSED = {
     **{f"{name}.gltf": (built(change).text(), said) for name, (change, said) in REFUSALS.items()},
     "missing_file.gltf": (
         with_buffers({"byteLength": 60, "uri": "square%200.bin"}),
-        r"needs the file 'square%200\.bin' beside it, which does not exist; put it there",
+        r"needs the file 'square%200\.bin' in the same folder, which does not exist; put it there",
     ),
     "elsewhere.gltf": (with_buffers({"byteLength": 60, "uri": "https://a.b/c.bin"}), "keeps its data at 'https:"),
     "short_buffer.gltf": (with_buffers({"byteLength": 60, "uri": "data:;base64,AAAA"}), "has 3 bytes; expected 60"),

@@ -314,9 +314,9 @@ def test_the_part_with_the_visibility_is_read(tmp_path):
     write_parts(tmp_path / "a.exr", depth={"Z": 9 * TOP}, shadow={"Y": TOP, "id": TOP})
     pixels, said = read(tmp_path / "a.exr")
     np.testing.assert_array_equal(pixels, TOP)
-    assert said == ["is read from Y of its part shadow; left out: channel id, part depth"]
+    assert said == ["is read from Y of part shadow; left out: channel id, part depth"]
     write_parts(tmp_path / "b.exr", depth={"Z": TOP}, shadow={"V": TOP})
-    with pytest.raises(FileError, match="has the channels Z in its part depth, V in its part shadow; expected Y"):
+    with pytest.raises(FileError, match="has the channels Z in part depth, V in part shadow; expected Y"):
         read_visibility(tmp_path / "b.exr")
 
 

@@ -147,7 +147,7 @@ def test_left_out_settings_are_the_engines_defaults(tmp_path):
     assert scene.lights[0].position == (2, 3, 4)
     assert scene.lights[0].direction == (-2, -3, -4)
     assert (scene.cameras[0].fov_y, scene.cameras[0].near, scene.cameras[0].far) == (pytest.approx(50), 0.1, 2000)
-    assert "sun: its target is not in the scene, so that it is taken to be the origin" in scene.remarks
+    assert "sun: its target is not in the scene, so the origin is used" in scene.remarks
 
 
 def test_a_lights_range_replaces_far_and_zoom_narrows(tmp_path):
@@ -263,7 +263,7 @@ def test_normalized_integers_are_fractions(tmp_path):
 
 FAULTS = {
     "no JSON": ("{", "is neither JSON nor GLB"),
-    "a list": ("[]", "a JSON value that is no object"),
+    "a list": ("[]", "a JSON value that is not an object"),
     "something else": ('{"a": 1}', "it has neither object nor asset"),
     "a lone geometry": ('{"metadata": {"type": "BufferGeometry"}}', "its metadata.type is 'BufferGeometry'"),
     "an old format": ('{"metadata": {"version": 3}, "object": {}}', "is of three.js' format 3"),
@@ -304,7 +304,7 @@ GEOMETRY_FAULTS = {
     ),
     "a lost buffer": (
         soup_of({"position": {"isInterleavedBufferAttribute": True, "itemSize": 3, "data": "x"}}),
-        "lies in a buffer that the file lacks",
+        "is in a buffer that the file lacks",
     ),
     "other normals": (
         soup_of({"position": POSITION, "normal": {**POSITION, "array": [0, 0, 1]}}),
@@ -335,8 +335,8 @@ def test_an_odd_mesh_is_left_out_and_named_with_its_fault(tmp_path):
     scene = read_scene(stored(tmp_path, odd[0], MESH, *odd[1:], geometries=[BOX, empty, tube, bare]))
     assert [mesh.name for mesh in scene.meshes] == ["box"]
     assert "bare: it has no triangles; left out" in scene.remarks
-    said = [remark for remark in scene.remarks if "left out, since" in remark]
-    assert [remark.partition(": left out, since the file ")[0] for remark in said] == [
+    said = [remark for remark in scene.remarks if "left out, because" in remark]
+    assert [remark.partition(": left out, because the file ")[0] for remark in said] == [
         "label",
         "pipe 0, pipe 1, pipe 2, pipe 3 and 2 others",
         "lost",
@@ -345,7 +345,7 @@ def test_an_odd_mesh_is_left_out_and_named_with_its_fault(tmp_path):
     for remark, fault in zip(
         said, ("has a BufferGeometry with no", "has a Tube", "is damaged: its mesh", "is damaged"), strict=True
     ):
-        assert f"since the file {fault}" in remark
+        assert f"because the file {fault}" in remark
 
 
 HALF = {"itemSize": 3, "type": "Uint16Array"}
@@ -472,7 +472,7 @@ def test_a_hidden_camera_serves_where_there_is_no_other(tmp_path):
     content["nodes"][1]["extensions"] = HIDDEN
     scene = read_scene(as_file(tmp_path, content))
     assert len(scene.cameras) == 1
-    assert "camera: hidden by KHR_node_visibility; taken all the same, since there is no other camera" in scene.remarks
+    assert "camera: hidden by KHR_node_visibility; used anyway, because there is no other camera" in scene.remarks
 
 
 def test_extensions_and_animations_that_are_not_obeyed_are_named(tmp_path):
@@ -489,8 +489,8 @@ def test_extensions_and_animations_that_are_not_obeyed_are_named(tmp_path):
     for remark in (
         "1 × extension ACME_curtains: left out",
         "2 × animation: left out",
-        "triangle: it is transparent, and opaque here; in shadow maps it is opaque in three.js, too",
-        "triangle: its material is unlit (KHR_materials_unlit) and shows no shadows; here it does",
+        "triangle: it is transparent, but opaque here; in shadow maps it is also opaque in three.js",
+        "triangle: its material is unlit (KHR_materials_unlit) and shows no shadows; here it shows them",
     ):
         assert scene.remarks.count(remark) == 1
     assert not any("clearcoat" in remark or "meshopt" in remark for remark in scene.remarks)
@@ -503,7 +503,8 @@ def test_an_odd_primitive_of_gltf_is_left_out_and_named(tmp_path):
     scene = read_scene(as_file(tmp_path, content))
     assert [mesh.name for mesh in scene.meshes] == ["triangle"]
     assert (
-        "odd: left out, since the file is damaged: it refers to accessor 9, but has 2; export it again" in scene.remarks
+        "odd: left out, because the file is damaged: it refers to accessor 9, but has 2; export it again"
+        in scene.remarks
     )
     assert "1 × primitive without positions: left out" in scene.remarks
     content["nodes"][0]["mesh"] = 1

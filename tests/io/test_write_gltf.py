@@ -124,7 +124,7 @@ def test_what_cannot_be_written_is_refused(tmp_path):
         io.write_gltf(tmp_path / "nowhere" / "scene.glb", scene)
     with pytest.raises(TypeError, match="what to write is of type Mesh; expected a Scene"):
         io.write_gltf(tmp_path / "scene.glb", MESHES[0])
-    with pytest.raises(ValueError, match="the extras hold what JSON cannot"):
+    with pytest.raises(ValueError, match="the extras have values that JSON cannot store"):
         io.write_gltf(tmp_path / "scene.glb", scene, extras={"a": float("nan")})
     off = np.array(CAMERA.view().eye_to_clip)
     off[0, 2] = 0.25

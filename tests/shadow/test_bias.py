@@ -307,7 +307,10 @@ def test_any_two_biases_add_up(one, other):
     [
         (lambda: SlopeBias(0.5, least=2.0, most=1.0), r"least is 2.0 and most is 1.0; expected least at most most"),
         (lambda: LinearBias({}), r"linear bias has no terms; expected one or more"),
-        (lambda: LinearBias({"tangent": 1.0}), r"linear bias has a term 'tangent'; expected some of one, slope, sine"),
+        (
+            lambda: LinearBias({"tangent": 1.0}),
+            r"linear bias has a term 'tangent'; expected terms among one, slope, sine",
+        ),
         (lambda: LinearBias({"one": float("nan")}), r"weights\['one'\] is nan; expected a number"),
         (lambda: network((40,)), r"perceptron has 163 weights; expected at most 100"),
         (lambda: network(()), r"2 inputs and layers of 1 x 2 weights; expected one or more hidden layers"),
@@ -475,5 +478,5 @@ def test_the_bias_for_a_filter_is_that_of_a_configuration():
     little = shadow.bias_for(shadow.VarianceShadowMap(2.0))
     expected = rules.FILTER_RULES["vsm, radius 2.5"].bias[:2]
     assert (float(little.constant.value), float(little.slope.value)) == pytest.approx(expected)
-    with pytest.raises(ValueError, match="whose radius is traced"):
+    with pytest.raises(ValueError, match="with a traced radius"):
         jax.jit(lambda radius: shadow.bias_for(shadow.RandomDisk(radius)).slope.value)(2.0)

@@ -197,7 +197,10 @@ def test_constants_have_all_digits_and_a_comment():
             r"the bias has 2 factors, and the map has 1 layer",
         ),
         (mapping(Nearest(), PLAIN, layout=Cascades()), r"the light is a DirectionalLight, .*light_of_map\(scene\)"),
-        (mapping(Nearest(), PLAIN, layout=shadow.ResolutionMatched()), r"ResolutionMatched, whose pages .*: cascades"),
+        (
+            mapping(Nearest(), PLAIN, layout=shadow.ResolutionMatched()),
+            r"ResolutionMatched, whose pages .*: the most similar is cascades",
+        ),
         (ShadowMapping(Nearest(), PLAIN, map=MapSettings(silhouettes=True)), r"silhouettes is true, .*expected false"),
     ],
 )

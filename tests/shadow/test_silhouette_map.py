@@ -602,5 +602,5 @@ def test_silhouettes_are_of_the_nearest_surface(settings):
 
 
 def test_silhouettes_need_room_for_the_corners_of_texels():
-    with pytest.raises(ValueError, match=r"map of \(8192, 16\) texels.*expected at most 8191 on a side"):
+    with pytest.raises(ValueError, match=r"map of \(8192, 16\) texels.*expected at most 8191 per side"):
         draw_shadow_map(_square(), _sun(STILL), (8192, 16), edges=Edges.of(_square()))

@@ -267,7 +267,7 @@ def test_the_cheapest_of_those_within_the_noise_is_recommended():
     said = verdict(found)
     assert "by this renderer on the CPU (a GPU may differ)" in said[0] or jax.default_backend() != "cpu"
     assert said[1] == (
-        "It is as fast as any within the reference's noise of 0.0100 of the least RMSE. Constant with tent at 64² has "
+        "It is as fast as any within the reference's noise of 0.0100 of the lowest RMSE. Constant with tent at 64² has "
         "0.1000, in 2.29 times the time; the recommended one has 8.0 % more. The difference is below the reference's "
         "noise of 0.0100, so the cheaper one is chosen."
     )
@@ -283,13 +283,13 @@ def test_the_cheapest_of_those_within_the_noise_is_recommended():
             "constant: 12.1, slope: 0",
             "bias.constant: {lower: 0, upper: 16}",
             "bias.constant = 12.1 texels is far more",
-            "on scene.meshes.0 (builtin:box), where the light meets surfaces at 30°",
+            "on scene.meshes.0 (builtin:box), where the angle between the light and surfaces is 30°",
         ),
         pytest.param(
             "constant: 0, slope: 0, normal_offset: 9",
             "bias.normal_offset: {lower: 0, upper: 16}",
             "bias.normal_offset = 9 texels is far more",
-            "100% of it on scene.meshes.1 (builtin:plane), where the light meets surfaces at 5°",
+            "100% of it on scene.meshes.1 (builtin:plane), where the angle between the light and surfaces is 5°",
             marks=pytest.mark.exhaustive,
         ),
     ],
@@ -308,7 +308,7 @@ def test_a_bias_far_above_the_usual_is_explained(bias, bounds, said, asking):
     assert asking in found
     # A usual one that is as good is to be taken.
     (free,) = large_biases(parse_config(text, low, fitting=True), 1.0)
-    assert free.endswith("as good within the reference's noise of 1.0000, so take 3 texels.")
+    assert free.endswith("as good within the reference's noise of 1.0000, so use 3 texels.")
     small = text.replace("12.1", "3.5").replace("normal_offset: 9", "normal_offset: 4")
     assert list(large_biases(parse_config(small, low, fitting=True), 0.0)) == []
 
@@ -417,7 +417,7 @@ def test_verdict_says_what_a_constant_bias_loses_to_have_as_little_acne():
     assert "slope has 0.20 %, in the same time." in lossy
     none = say(LeastBias(value=30.0, false_shadow=0.012, false_light=0.05))
     assert (
-        "No constant bias within its bounds removes acne to the 0.10 % of slope: the least, 1.2 %, is at 30 texels"
+        "No constant bias within its bounds removes acne to the 0.10 % of slope: the lowest, 1.2 %, is at 30 texels"
         in none
     )
     free = say(LeastBias(value=2.5, false_shadow=0.001, false_light=0.00205))
@@ -460,8 +460,8 @@ def test_verdict_names_what_the_recommended_one_loses_against_the_best():
     assert said[0].startswith("Recommended: slope with tent at 64², with bias.constant 1.5 texels. Its RMSE is 0.0400")
     assert "5.0 ms per view, 3.0 ms of them for the map" in said[0]
     assert said[1] == (
-        "It is as fast as any within 3 % of the least RMSE. Plane with tent at 64² has 0.0392, in 1.50 times the time; "
-        "the recommended one has 2.0 % more."
+        "It is as fast as any within 3 % of the lowest RMSE. Plane with tent at 64² has 0.0392, in 1.50 times the "
+        "time; the recommended one has 2.0 % more."
     )
     assert "The difference is below the reference's noise" in verdict(findings(best))[1]
 

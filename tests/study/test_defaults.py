@@ -148,7 +148,7 @@ def test_settings_of_spot_and_point_lights_hold_at_their_distance():
     [
         (["--filter", "pfc"], "did you mean pcf?"),
         (["--filter", "separable"], "which has no rule"),
-        (["--filter", "bilinear", "--radius", "2"], "given with bilinear, which has none"),
+        (["--filter", "bilinear", "--radius", "2"], "given with bilinear, which has no radius"),
         (["--filter", "pcf", "--radius", "-1"], "expected 0 to"),
         (["--filter", "pcf", "--radius", "nan"], "expected 0 to"),
         (["--radius", "2"], "--radius is given without --filter"),

@@ -109,7 +109,7 @@ def test_only_biases_that_an_engine_has_under_a_light_are_fitted(engine, light, 
     ("engine", "overrides", "said"),
     [
         ("filament", [POINT], "scene: Filament has no bias for one of the lights"),
-        ("godot", ["technique.type=cascades"], "technique.type: is cascades; expected shadow_map or an engine's"),
+        ("godot", ["technique.type=cascades"], "technique.type: is cascades; expected a single map"),
         ("godot", ["advise.filters=[{label: a}]"], "advise.filters: is given, and --engine godot has its own"),
         ("babylon.js", ["advise.resolutions=[[64, 32]]"], "whose maps are square"),
     ],

@@ -231,8 +231,8 @@ def test_an_error_comes_after_the_notes_and_counts_what_was_left_out(tmp_path, c
     with pytest.raises(SystemExit):
         main(["import", str(path), "--output", str(tmp_path / "made")])
     out, error = capsys.readouterr()
-    assert "note: flat: left out, since the file" in " ".join(out.split())
-    assert "(4 without castShadow, and 1 left out); expected one: mend what is left out, as the notes say" in error
+    assert "note: flat: left out, because the file" in " ".join(out.split())
+    assert "(4 without castShadow, and 1 left out); expected one: fix the omitted parts as in the notes" in error
 
 
 def test_a_scene_beyond_the_limits_gets_the_same_message_twice_and_leaves_nothing(tmp_path, capsys):
@@ -249,7 +249,7 @@ def test_a_scene_beyond_the_limits_gets_the_same_message_twice_and_leaves_nothin
         errors.append(capsys.readouterr().err)
     assert errors[0] == errors[1]
     assert errors[0].startswith(f"error: {path}: shadow_map.resolution.0: is 16384; expected")
-    assert "it is taken from the scene: change it there" in errors[0]
+    assert "it comes from the scene: change it there" in errors[0]
     assert list(tmp_path.iterdir()) == [path]
 
 

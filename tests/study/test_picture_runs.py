@@ -101,7 +101,7 @@ def test_each_light_has_an_intensity_to_fit(shading):
 
 
 OF_ALL = (
-    "shading.intensity.red: has no effect, since shading.intensities take its place; expected shading.intensities.0.red"
+    "shading.intensity.red: has no effect, because shading.intensities replace it; expected shading.intensities.0.red"
 )
 
 

@@ -117,7 +117,7 @@ def test_a_front_has_its_errors_and_values_and_marks_its_knee():
         ["0.0300", "0.0500", "0.0583", "3", "4", "knee"],
         ["0.0800", "0.0200", "0.0500", "5", "6", ""],
     ]
-    assert "at the knee, the RMSE is 0.0583, 16.6% more than the least of the front, 0.0500" in text
+    assert "at the knee, the RMSE is 0.0583, 16.6% more than the lowest of the front, 0.0500" in text
 
 
 def test_errors_of_several_lights_have_a_column_each_and_one_of_all():

@@ -353,10 +353,10 @@ def damage(name: str, content: str | bytes | None) -> Callable[[Path], None]:
         (shutil.rmtree, "tiny does not exist; expected the folder of a finished run"),
         (damage("result.json", None), "tiny holds no run: it has no result.json"),
         (damage("result.json", '{"kind": "f'), "result.json is damaged"),
-        (damage("result.json", '{"status": "ok"}'), "result.json is not of a fit"),
+        (damage("result.json", '{"status": "ok"}'), "result.json is not the record of a fit"),
         (
             damage("result.json", '{"kind": "fit"}'),
-            "result.json is damaged: name is missing; expected what a run wrote",
+            "result.json is damaged: name is missing; expected a file of a run",
         ),
         (damage("result.json", "[" * 100_000), "result.json is damaged (recursion limit exceeded"),
         (

@@ -124,14 +124,14 @@ def darkness(folder, *overrides, mesh=CARD):
             [LAMP],
             "scene.light is inside scene.meshes.2 (builtin:sphere), which hides it from all that the camera",
         ),
-        (CARD, ["scene.light.elevation=-60"], "all of it is turned away from the light, or in shadow; expected"),
+        (CARD, ["scene.light.elevation=-60"], "all of it faces away from the light, or is in shadow; expected"),
     ],
     ids=["inside", "dark side", "bulb", "from below"],
 )
 def test_a_scene_that_no_light_reaches_has_nothing_to_compare(mesh, overrides, cause, tmp_path):
     said = darkness(tmp_path, *overrides, mesh=mesh)
     assert said is not None
-    assert said.startswith("no light reaches what the camera sees, so that there is nothing to compare: ")
+    assert said.startswith("no light reaches the camera's view, so there is nothing to compare: ")
     assert cause in said
 
 
@@ -141,7 +141,7 @@ def test_a_scene_that_one_of_its_lights_reaches_can_be_compared(tmp_path):
     assert darkness(tmp_path, f"scene.lights=[{below}, {above}]", "scene.light=null") is None
     said = darkness(tmp_path, f"scene.lights=[{below}, {below}]", "scene.light=null")
     assert said is not None
-    assert said.startswith("none of its lights reaches what the camera sees")
+    assert said.startswith("none of its lights reaches the camera's view")
 
 
 def test_what_a_mesh_file_holds_beside_triangles_is_left_out_with_a_remark(tmp_path):

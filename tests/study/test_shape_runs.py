@@ -163,9 +163,12 @@ def test_damaged_checkpoints_are_ignored(tmp_path):
     [
         (["fit.shape.screen=below", "scene.lights.0.elevation=-20"], "expected light from above"),
         (["fit.shape.pinned=3"], "above all of the start's vertices"),
-        (["scene.lights=[{type: point, position: [0, 0.5, 0.1]}]"], "expected it outside of the pictured square"),
+        (
+            ["scene.lights=[{type: point, position: [0, 0.5, 0.1]}]"],
+            "expected a position outside of the pictured square",
+        ),
         (["scene.lights=[{type: rectangle, position: [0, 3, 0]}]"], "is a rectangle, whose shadows are soft"),
-        (["fit.shape.symmetry=x", "fit.shape.start.path=builtin:blob"], "no mirror image of itself"),
+        (["fit.shape.symmetry=x", "fit.shape.start.path=builtin:blob"], "is not symmetric"),
     ],
 )
 def test_shapes_that_cannot_be_fitted_are_refused(overrides, words):

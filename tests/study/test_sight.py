@@ -79,18 +79,18 @@ def test_camera_that_sees_a_surface_has_no_cause():
         ("{type: spot, position: [0, 5, 0], near: 1, far: 2}", "2 are beyond its far;", "raise its far"),
         (
             "{type: spot, position: [9, 5, 0], target: [9, 0, 0], outer_angle: 9}",
-            "2 are beside its frustum;",
+            "2 are to the side of its frustum;",
             "outer_angle",
         ),
         # Far from both of its planes.
         (
             "{type: spot, position: [9, 5, 0], target: [9, 0, 0], outer_angle: 9, near: 0.1, far: 50}",
-            "2 are beside its frustum;",
+            "2 are to the side of its frustum;",
             "outer_angle",
         ),
         (
             "{type: spot, position: [1e9, 1e9, 0]}",
-            "none is within its frustum, since single precision",
+            "none is within its frustum, because single precision",
             "move it nearer",
         ),
         ("{type: point, position: [0, 5, 0], near: 1, far: 2}", "2 are beyond its far;", "raise its far"),

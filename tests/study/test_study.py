@@ -223,7 +223,7 @@ def test_a_fit_with_nothing_to_compare_is_refused_before_its_reference_is_traced
     monkeypatch.setattr("diffshadow.reference.trace_visibility", lambda *args, **options: pytest.fail("traced"))
     io.write_visibility("dark.png", np.zeros((64, 64)))
     for overrides, key in (
-        (["scene.light.elevation=-60"], "scene: no light reaches what the camera sees, so that there is nothing"),
+        (["scene.light.elevation=-60"], "scene: no light reaches the camera's view, so there is nothing"),
         (["reference={type: image, path: dark.png}"], "reference.path: is dark in all pixels that count"),
     ):
         for refuse in (
@@ -414,7 +414,7 @@ def before_work(monkeypatch) -> None:
         ("scene.camera={eye: [0, 1, 9], target: [0, 9, 9]}", "camera"),
         (
             "scene.light={type: spot, position: [0, 3, 0], target: [9, 3, 0], outer_angle: 5}",
-            "scene.light: and the camera see no surface together: of",
+            "scene.light: and the camera see no common surface: of",
         ),
     ],
 )
@@ -440,7 +440,7 @@ def test_validate_begins_what_a_run_does_and_writes_nothing(monkeypatch, capsys,
     with pytest.raises(SystemExit) as caught:
         main(["validate", "tiny.yaml"])
     assert caught.value.code == 0
-    said, _, after = capsys.readouterr().out.partition("what to do next:\n")
+    said, _, after = capsys.readouterr().out.partition("next steps:\n")
     assert said.endswith("tiny.yaml is valid; its scene has 14 triangles\n")
     assert "diffshadow fit tiny.yaml" in after
     assert leftovers(tmp_path) == []
@@ -487,7 +487,7 @@ def test_flat_gradient_is_reported_with_its_cause(really, tiny_figures, monkeypa
         monkeypatch.setattr(fit, "fit", flat)
     folder, said = run("filter.lookup=nearest")
     assert result_of(folder)["solver"]["flat"] == ["filter.radius"]
-    assert "warning: filter.radius was not fitted: its gradient is zero throughout, since nearest look-ups" in said
+    assert "warning: filter.radius was not fitted: its gradient is zero throughout, because nearest look-ups" in said
     assert "filter.radius was not fitted" in (folder / "report.html").read_text()
 
 

@@ -150,8 +150,8 @@ NEAR_FAR = ("scene.camera.near=0.5", "scene.camera.far=9")
 @pytest.mark.parametrize(
     ("overrides", "said"),
     [
-        ([CASCADES], "scene.camera.near and scene.camera.far are found for each frame anew"),
-        ([CASCADES, "technique.shadow_distance=5"], "scene.camera.near is found for each frame anew"),
+        ([CASCADES], "scene.camera.near and scene.camera.far are found again for each frame"),
+        ([CASCADES, "technique.shadow_distance=5"], "scene.camera.near is found again for each frame"),
         ([CASCADES, *NEAR_FAR], None),
         ([CASCADES, "technique.stabilize=false"], None),
         ([], None),

@@ -186,7 +186,12 @@ def test_an_unexplained_reference_comes_first_and_silences_what_means_nothing():
     [
         (1 - TRUE.visibility[::-1], False, 1, ["flip the reference upside down and invert it: rays"]),
         (0.5 + 0.3 * TRUE.visibility, False, 1, ["stretch the reference's values: they are about 0.50 in shadow and"]),
-        (None, False, 1, ["the reference does not fit if it is flipped", "add scene.light.azimuth and scene.light.el"]),
+        (
+            None,
+            False,
+            1,
+            ["flipping or inverting the reference does not help", "add scene.light.azimuth and scene.light.el"],
+        ),
         (None, True, 1, ["try more starts, fit.multistart=8,", "the reference does not", "if the light is unknown"]),
         (None, True, 512, ["try more starts, fit.multistart=1024,", "the reference does not", "if the light"]),
     ],
@@ -259,8 +264,12 @@ def test_a_front_of_fewer_points_than_asked_for_is_remarked_on():
 @pytest.mark.parametrize(
     ("errors", "knee", "said"),
     [
-        ([0.2, 0.12, 0.1, 0.3], 1, ["at the knee, the RMSE is 0.1200, 20.0% more than the least of the front, 0.1000"]),
-        ([0.2, 0.1, 0.3], 1, ["at the knee, the RMSE is 0.1000, the least of the front"]),
+        (
+            [0.2, 0.12, 0.1, 0.3],
+            1,
+            ["at the knee, the RMSE is 0.1200, 20.0% more than the lowest of the front, 0.1000"],
+        ),
+        ([0.2, 0.1, 0.3], 1, ["at the knee, the RMSE is 0.1000, the lowest of the front"]),
         ([0.2, 0.1], None, []),
         ([None, None, None], 1, []),
     ],
@@ -287,7 +296,13 @@ ALBEDO = "scene.meshes.0.albedo.red"
 @pytest.mark.parametrize(
     ("name", "side", "bound", "falls", "said"),
     [
-        (ALBEDO, "upper", 1.0, True, "That is the limit of scene.meshes.0.albedo.red, so no bounds can be wider"),
+        (
+            ALBEDO,
+            "upper",
+            1.0,
+            True,
+            "That is the limit of scene.meshes.0.albedo.red, so wider bounds are not possible",
+        ),
         (ALBEDO, "upper", 1.0, False, None),
         (ALBEDO, "upper", 0.9, True, "so widen the bounds"),
         ("shading.ambient.red", "lower", 0.0, True, "That is the limit of shading.ambient.red"),
@@ -336,7 +351,7 @@ def test_what_profiles_alone_gained_is_said():
     by_profiles = result(phases=at_start, profiles=[profile], best=best)
     for found in (by_profiles, replace(by_profiles, chosen=-1)):
         (said,) = remarks(parse_config(BASE), found)
-        assert said.startswith("the solver found nothing better than the start: all that the fit gained was found by")
+        assert said.startswith("the solver found nothing better than the start: the profiles of")
         assert "fit.intervals" in said
     by_solver = replace(by_profiles, phases=[outcome()._replace(values=(4.0, 5.0))])
     assert remarks(parse_config(BASE), by_solver) == []
@@ -348,5 +363,5 @@ def test_the_verdict_and_the_remarks_of_a_picture_name_the_picture():
     assert "reduced the picture's error from 0.2000 to 0.1000 RMSE, by a factor of 2.0" in said
     loose = replace(fell, flat=[ALBEDO], precision=fit.Precision(NAMES, {}, [], [NAMES]))
     flat, undetermined = remarks(config, loose)
-    assert flat.startswith(f"{ALBEDO} was not fitted: its gradient is zero throughout, since no pixel of the picture")
+    assert flat.startswith(f"{ALBEDO} was not fitted: its gradient is zero throughout, because no pixel of the picture")
     assert undetermined.startswith("the picture hardly determines bias.constant and filter.radius")

@@ -401,8 +401,8 @@ def test_a_fit_of_a_part_of_the_configurations_numbers_keeps_the_preferences_amo
 @pytest.mark.parametrize(
     ("state", "said"),
     [
-        ({"numbers": {"bias.foo": 1}}, r"^bias\.foo is no number of this configuration; expected .* such as bias\."),
-        ({"fitted": ("bias.foo",)}, r"^bias\.foo is no number of this configuration"),
+        ({"numbers": {"bias.foo": 1}}, r"^bias\.foo is not a number of this configuration; expected .* such as bias\."),
+        ({"fitted": ("bias.foo",)}, r"^bias\.foo is not a number of this configuration"),
         ({"numbers": {"bias.constant": 8.5}}, r"^bias\.constant is 8\.5; expected a number from 0 to 8, in texels"),
         (
             {"numbers": {"scene.light.azimuth": -200}},

@@ -1,1 +1,1 @@
-"""Builds modules from a configuration. In this subpackage, only this folder imports JAX."""
+"""Builds modules from a configuration. No other folder of this subpackage imports JAX."""

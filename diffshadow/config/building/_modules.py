@@ -1,4 +1,4 @@
-"""Builds the fit of a configuration. Its scene and its technique are built by the modules beside this one."""
+"""Builds the fit of a configuration. Other modules of this folder build its scene and its technique."""
 
 import dataclasses
 import inspect
@@ -31,7 +31,7 @@ from ._technique import build_technique as build_technique
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class FitPlan:
-    """What is fitted, and how.
+    """The parameters and the settings of a fit.
 
     - `solver`, `anneal`, `search`, `sureness`: as for `fit.fit`.
     - `loss`: a `fit.Loss` of the errors of all views and lights, or a user's loss.
@@ -56,9 +56,9 @@ def build_fit(config: Config, scene: geometry.Scene | None = None) -> FitPlan:
 
     **Arguments:**
 
-    - `scene`: the scene of `config`, if it has been built; only a fit of lights or meshes needs it.
+    - `scene`: the scene of `config`, if it is already built. Only a fit of lights or meshes needs it.
 
-    **Raises** `ConfigError` if one of them cannot be made, or the technique cannot be fitted.
+    **Raises** `ConfigError` if one of them cannot be built, or if the technique cannot be fitted.
     """
     if not _can_be_fitted(config):
         raise ConfigError([Mistake(*at(config, ("technique", "type")), _no_gradient(config.technique.type))])
@@ -106,13 +106,13 @@ def build_fit(config: Config, scene: geometry.Scene | None = None) -> FitPlan:
 
 
 def is_truth(config: Config) -> bool:
-    """Whether the scene as it stands is what the reference shows."""
+    """Whether the reference shows the unchanged scene."""
     reference = config.reference
     return reference.type == "traced" or (isinstance(reference, PictureReference) and reference.path is None)
 
 
 def build_arrangement(config: Config, scene: geometry.Scene) -> fit.Arrangement:
-    """The technique of `config`, with its lights and meshes in their initial poses; for a fit to a picture also its
+    """The technique of `config`, with its lights and meshes in their initial poses. For a fit to a picture, also its
     camera and shading.
 
     **Raises** `ConfigError` if a vertex to fit does not exist in its mesh.
@@ -144,13 +144,13 @@ def _can_be_fitted(config: Config) -> bool:
 
 
 def _is_fittable(kind: type[shadow.AbstractTechnique]) -> bool:
-    """Whether a class of techniques has a compare, which may be a field, and says what it lays out."""
+    """Whether a class of techniques has a compare, which may be a field, and a method `lays_out`."""
     fields = {field.name for field in dataclasses.fields(kind)}
     return hasattr(kind, "lays_out") and ("compare" in fields or hasattr(kind, "compare"))
 
 
 def _loss(config: Config, solver: fit.Solver) -> Any:
-    """The loss of a fit, which may be a user's."""
+    """The loss of a fit, which may be a user's loss."""
     section = config.fit.loss
     if section.plugin is None:
         return fit.Loss(**values_of(section))
@@ -167,8 +167,8 @@ def _loss(config: Config, solver: fit.Solver) -> Any:
 def _start(
     config: Config, name: str, arrangement: fit.Arrangement | None, origin: geometry.Origin
 ) -> tuple[str, float, float]:
-    """The path of the parameter `name` in the fitted module, its value in the configuration, and what the module's
-    number is counted from."""
+    """The path of the parameter `name` in the fitted module, its value in the configuration, and the origin of the
+    module's number."""
     number = fittable_of(config, name)
     assert number is not None
     if not is_pose(name):
@@ -183,7 +183,7 @@ def _start(
 
 
 def _offset(translation: float, origin: float) -> float:
-    """What a mesh's translation along an axis is counted from: the scene's origin, unless its file is there."""
+    """The origin of a mesh's translation along an axis: the scene's origin, unless its file is placed there."""
     return origin if abs(translation - origin) < abs(translation) else 0.0
 
 

@@ -34,8 +34,8 @@ _MIN_NEAR = 1e-3
 
 
 class Surroundings(NamedTuple):
-    """The surroundings that cameras and lights are placed in: all points (n, 3), the casters' points (m, 3), and the
-    first mesh's centre and radius. All are counted from `origin`, a point of the world."""
+    """The surroundings of cameras and lights: all points (n, 3), the casters' points (m, 3), and the first mesh's
+    centre and radius. All are relative to `origin`, a point of the world."""
 
     points: Float[HostArray, "n 3"]
     casters: Float[HostArray, "m 3"]
@@ -79,7 +79,7 @@ class BuiltMeshes(NamedTuple):
 
 @contextmanager
 def blame(config: Config, path: KeyPath, origin: geometry.Origin = geometry.WORLD) -> Iterator[None]:
-    """Reports errors raised inside as mistakes of the key at `path`. Coordinates in their texts are counted from
+    """Reports errors raised inside as mistakes of the key at `path`. Coordinates in their texts are relative to
     `origin`."""
     try:
         yield
@@ -88,24 +88,24 @@ def blame(config: Config, path: KeyPath, origin: geometry.Origin = geometry.WORL
     except geometry.OptionError as error:
         raise ConfigError([Mistake(*at(config, (*path, "options", error.option)), error.what)]) from error
     except (ValueError, OSError) as error:
-        where = "" if origin == geometry.WORLD else f" (coordinates are counted from the scene's origin, {[*origin]})"
+        where = "" if origin == geometry.WORLD else f" (coordinates are relative to the scene's origin, {[*origin]})"
         raise ConfigError([Mistake(*at(config, path), f"{error}{where}")]) from error
 
 
 def at(config: Config, path: KeyPath) -> tuple[Location, str]:
-    """Where the key at `path` was written, and its name."""
+    """The name of the key at `path`, and the place where it was written."""
     return config.origin.place(path), dotted(path)
 
 
 def build_scene(config: Config, built: BuiltMeshes | None = None) -> geometry.Scene:
-    """The scene of `config`: its meshes, its camera and its lights, all counted from the scene's origin.
+    """The scene of `config`: its meshes, its camera and its lights, all relative to the scene's origin.
 
-    **Arguments:** `built`: the meshes of `config`, if `build_meshes` has made them before.
+    **Arguments:** `built`: the result of `build_meshes`, if it is already known.
 
     Warns with `io.MeshWarning` about contents of mesh files other than triangles.
 
-    **Raises** `ConfigError`, with the key, for each mesh, camera or light that cannot be made, and for an open mesh
-    that casts if only back faces cast.
+    **Raises** `ConfigError` with the key of each mesh, camera or light that cannot be made, and of each open caster if
+    only back faces cast.
 
     !!! Example
 
@@ -119,7 +119,7 @@ def build_scene(config: Config, built: BuiltMeshes | None = None) -> geometry.Sc
 
 
 def build_meshes(config: Config) -> BuiltMeshes:
-    """The meshes of `config`, and the surroundings that its camera and its lights are placed in.
+    """The meshes of `config`, and the surroundings for its camera and its lights.
 
     **Raises** `ConfigError` as `build_scene` does.
     """
@@ -184,8 +184,8 @@ def _check_closed(config: Config, meshes: list[geometry.Mesh]) -> None:
     if not isinstance(config.technique, Mapped) or config.shadow_map.cull != "front":
         return
     what = (
-        "is an open mesh that casts shadows, while shadow_map.cull is front; expected closed meshes, since only back "
-        "faces cast: set casts: false if it only receives, or shadow_map.cull to none"
+        "is an open mesh that casts shadows, while shadow_map.cull is front; expected closed meshes, because only "
+        "back faces cast: set casts: false if it only receives, or shadow_map.cull to none"
     )
     mistakes = [
         Mistake(*at(config, ("scene", "meshes", i)), what)
@@ -208,8 +208,8 @@ def camera_on(config: scene.Camera, surroundings: Surroundings) -> geometry.Abst
     if bool((eye == target).all()):
         raise ValueError(f"the camera's eye and target are both {eye.tolist()}; expected two points: move one of them")
     up = single(config.up)
-    # The scene's extent across the view, and along it.
-    # By what the camera's view is made with, which is compiled anyway.
+    # The extent of the scene across the view and along it. The function that makes the camera's view is already
+    # compiled.
     rows = np.asarray(geometry.look_at(eye, target - eye, up), np.float64)[:3, :3]
     across, upwards, backward = ((surroundings.points - eye) @ rows.T).T
     near, far = _depth_range(-backward, perspective=isinstance(config, PinholeCameraConfig))
@@ -234,9 +234,9 @@ def _depth_range(depth: Float[HostArray, " n"], *, perspective: bool) -> tuple[f
     if perspective and high <= 0:
         raise ValueError(
             f"the whole scene is behind the camera (its depth is {low:.4g} to {high:.4g} world units); "
-            "expected some of it in front: change the camera's eye or target"
+            "expected a part of it in front: change the camera's eye or target"
         )
-    # A scene seen edge-on still needs a depth range.
+    # A scene seen edge-on also needs a depth range.
     margin = max(_MARGIN * (high - low), _MIN_NEAR * max(abs(low), abs(high)))
     near, far = low - margin, high + margin
     return (max(near, _MIN_NEAR * far) if perspective else near), far
@@ -280,7 +280,7 @@ def light_on(config: scene.Light, surroundings: Surroundings) -> geometry.Abstra
             )
     near = tight.near if config.near is None else config.near
     far = tight.far if config.far is None else config.far
-    # By its constructor, which checks near and far.
+    # The constructor checks near and far.
     return type(tight)(**{**vars(tight), "near": near, "far": far})
 
 
@@ -303,7 +303,7 @@ def _directional(config: DirectionalLightConfig, surroundings: Surroundings) -> 
 def _seen_by(
     camera: ShadowCamera, direction: Vec3, angular_radius: float, surroundings: Surroundings
 ) -> geometry.DirectionalLight:
-    """The light along `direction` whose map `camera` draws.
+    """The light along `direction` with a map that `camera` draws.
 
     **Raises** `ValueError` if the camera sees nothing of the scene.
     """
@@ -323,8 +323,9 @@ def _seen_by(
         if least[k] > high[k] or most[k] < low[k]:
             given, scene = sorted((sign * low[k], sign * high[k])), sorted((sign * least[k], sign * most[k]))
             raise ValueError(
-                f"shadow_camera sees nothing of the scene: its {sides} are {given[0]:.4g} and {given[1]:.4g}, and the "
-                f"scene lies from {scene[0]:.4g} to {scene[1]:.4g}, measured from its position; expected an overlap: "
+                f"shadow_camera sees nothing of the scene: its {sides} are {given[0]:.4g} and {given[1]:.4g}, and "
+                f"the scene extends from {scene[0]:.4g} to {scene[1]:.4g}, measured from its position; expected an "
+                "overlap: "
                 "change them, or the position"
             )
     return light

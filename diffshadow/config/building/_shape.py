@@ -1,4 +1,5 @@
-"""Builds a fit of a shape: a screen behind the shape for each light, and the meshes whose shadows fall on it."""
+"""Builds a fit of a shape: a screen behind the shape for each light, and the meshes that cast shadows on the
+screens."""
 
 import dataclasses
 import functools
@@ -24,21 +25,23 @@ from ._scene import blame as blame_of
 
 Blame = Callable[[KeyPath], AbstractContextManager[None]]
 
-# A pictured square is so many times as wide as the radius of all meshes.
+# The side of a pictured square, in radii of all meshes.
 _EXTENT = 2.2
-# Of the pictured square's half side: how far behind the shape's middle the screen is, and the camera before it.
+# The distances from the shape's centre to the screen behind it and to the camera in front of it, in half sides of the
+# pictured square.
 _SCREEN, _CAMERA = 1.3, 0.2
-# A screen is so many times as wide as what its camera sees.
+# The width of a screen, relative to the view of its camera.
 _WIDER = 2.0
-# Visibility below which a pixel of an image is in shadow, and the part of an image's border that may be in shadow.
+# A pixel of an image is in shadow below this visibility. The second number is the fraction of an image's border that
+# may be in shadow.
 _DARK, _MOSTLY = 0.5, 0.5
-# The least sine of the angle at which light may graze a level screen.
+# The minimum sine of the angle between the light and a level screen.
 _GRAZING = 0.1
 _AXES = "xyz"
 
 
 class Screen(NamedTuple):
-    """A light, the screen that its shadows fall on, and the camera that sees nothing but the screen.
+    """A light, the screen that receives its shadows, and a camera that sees only the screen.
 
     - `key`: key of the light in the configuration.
     """
@@ -49,7 +52,8 @@ class Screen(NamedTuple):
     camera: geometry.OrthographicCamera
 
     def surface(self) -> raster.Surface:
-        """What the camera sees: `raster.draw_surface(self.mesh, self.camera)`, without a compiled program."""
+        """The surface that the camera sees: `raster.draw_surface(self.mesh, self.camera)`, without a compiled
+        program."""
         camera = self.camera
         height, width = camera.resolution
         eye, target, up = (np.asarray(each, np.float64) for each in (camera.eye, camera.target, camera.up))
@@ -74,10 +78,10 @@ class Screen(NamedTuple):
 
 
 class ShapePlan(NamedTuple):
-    """All that a fit of a shape needs.
+    """The inputs of a fit of a shape.
 
     - `seen`, `unseen`: the screens of the fit's lights, and of the lights that only measure the result.
-    - `starts`: for each light of the fit, whether it is fitted too, and the light that the fit starts from.
+    - `starts`: for each light of the fit, whether it is fitted too, and its start.
     - `start`: the mesh at the start; `None` for the visual hull of the targets. `symmetry`: as for `fit.ShapeProblem`.
     - `targets`: the mesh whose shadow each light should cast; empty if there are images.
     - `truth`: the mesh that casts all of these shadows, if there is one.
@@ -155,7 +159,7 @@ def build_shape(config: Config) -> ShapePlan:
 def _moved_light(
     light: geometry.AbstractLight, middle: Float[HostArray, "3"], degrees: float, rng: np.random.Generator
 ) -> geometry.AbstractLight:
-    """A light so many degrees from its place, as seen from the shape's `middle`, in a random direction."""
+    """A light in a random direction, at this angle in degrees from its position, as seen from the shape's `middle`."""
     pose, way = light.pose(), rng.normal(size=3)
     if pose.position is not None:
         towards = np.asarray(pose.place, np.float64) - middle
@@ -177,9 +181,9 @@ def _welded(mesh: geometry.Mesh) -> geometry.Mesh:
 
 
 def build_free(config: Config, start: geometry.Mesh) -> Bool[HostArray, " v"]:
-    """Which vertices (v,) move, of the mesh that a fit starts from.
+    """The moving vertices (v,) of the mesh that a fit starts from.
 
-    **Raises** `ConfigError` if none does.
+    **Raises** `ConfigError` if there are none.
     """
     shape = config.fit.shape
     assert shape is not None
@@ -188,7 +192,7 @@ def build_free(config: Config, start: geometry.Mesh) -> Bool[HostArray, " v"]:
     with blame_of(config, ("fit", "shape", "pinned")):
         if not free.any():
             raise ValueError(
-                f"is {shape.pinned:g}, above all of the start's vertices; expected some that move: lower it to less "
+                f"is {shape.pinned:g}, above all of the start's vertices; expected moving vertices: lower it to less "
                 f"than {heights.max():.4g}"
             )
     return free
@@ -205,8 +209,8 @@ def _symmetry(shape: ShapeConfig, start: geometry.Mesh) -> tuple[float, float, f
 def _images(shape: ShapeConfig, blame: Blame) -> tuple[list[Float[HostArray, "h w"]], list[Float[HostArray, "h w"]]]:
     """The images, and the weights of their pixels.
 
-    **Raises** `ConfigError` for a file that cannot be read, or an image of another size, without a shadow or without
-    light.
+    **Raises** `ConfigError` for a file that cannot be read, for an image of another size, and for an image without a
+    shadow or without light.
     """
     images, weights = [], []
     for i, path in enumerate(shape.images):
@@ -227,7 +231,7 @@ def _images(shape: ShapeConfig, blame: Blame) -> tuple[list[Float[HostArray, "h 
 def _image_remarks(
     shape: ShapeConfig, images: Sequence[Float[HostArray, "h w"]], weights: Sequence[Float[HostArray, "h w"]]
 ) -> Iterator[str]:
-    """A sentence for each image that is dark round a light shape: the shadow of no shape within it."""
+    """A sentence for each image that is dark around a light shape. No shape inside casts such a shadow."""
     for i, (image, weight) in enumerate(zip(images, weights, strict=True)):
         rows, columns = (np.flatnonzero((weight > 0).any(axis=axis)) for axis in (1, 0))
         rim = np.ones_like(weight, bool)
@@ -276,8 +280,8 @@ def _screen(
             distance = float(np.linalg.norm(way))
             if distance <= half:
                 raise ValueError(
-                    f"stands {distance:.3g} world units from the shape's middle; expected it outside of the pictured "
-                    f"square, beyond {half:.3g}: move it away, or make fit.shape.extent smaller"
+                    f"stands {distance:.3g} world units from the shape's centre; expected a position outside of the "
+                    f"pictured square, beyond {half:.3g}: move it away, or make fit.shape.extent smaller"
                 )
         way = way / np.linalg.norm(way)
         down = np.array([0.0, -1.0, 0.0])
@@ -294,7 +298,7 @@ def _screen(
         wide, (height, width) = extent * (1 + behind / distance) / cosine, shape.resolution
         tall = wide * min(1.0, height / width)
         if position is None:
-            # The map's texels are the image's pixels.
+            # The map's texels coincide with the image's pixels.
             size = tall * width / height, tall * cosine
             slant = tall * np.sqrt(max(1 - cosine**2, 0.0)) / 2
             light = geometry.DirectionalLight(
@@ -317,13 +321,13 @@ def _screen(
 
 
 def _framed(section: scene.Light) -> scene.Light:
-    """A sun's section without a frame of its map: it has that of the images."""
+    """A sun's section without a frame of its map, because the images define it."""
     is_sun = isinstance(section, DirectionalLightConfig)
     return changed(section, frame="scene", shadow_camera=None) if is_sun else section
 
 
 def _hard(light: geometry.AbstractLight, section: scene.Light, half: float) -> geometry.AbstractLight:
-    """A light as a point, whose map reaches to the screen."""
+    """A light as a point, with a map that extends to the screen."""
     if isinstance(light, geometry.RectangleLight):
         raise ValueError(
             "is a rectangle, whose shadows are soft, and fit.shape compares hard ones; expected a directional, spot or "
@@ -337,7 +341,7 @@ def _hard(light: geometry.AbstractLight, section: scene.Light, half: float) -> g
 
 
 def _upright(facing: Float[HostArray, "3"], way: Float[HostArray, "3"]) -> Float[HostArray, "3"]:
-    """The direction that is upright in the image of a screen: upwards, or on a level screen along the light."""
+    """The direction that is upright in the image of a screen: upwards, or along the light for a level screen."""
     for up in (np.array([0.0, 1.0, 0.0]), way, np.array([0.0, 0.0, -1.0])):
         across = up - (up @ facing) * facing
         if np.linalg.norm(across) > 1e-3:
@@ -346,7 +350,7 @@ def _upright(facing: Float[HostArray, "3"], way: Float[HostArray, "3"]) -> Float
 
 
 def _ball(middle: Float[HostArray, "3"], radius: float) -> Float[HostArray, "n 3"]:
-    """Points round a ball."""
+    """Points around a ball."""
     corners = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
     corners = corners[np.abs(corners).sum(axis=-1) > 0]
     return middle + radius * corners / np.linalg.norm(corners, axis=-1, keepdims=True)

@@ -15,7 +15,7 @@ from ..sections._section import settings_of
 from ..sections._technique import BiasConfig
 from ._scene import blame
 
-# The module that each class of settings describes.
+# The module for each class of settings.
 _MODULES: dict[type[Settings], Any] = {
     module.settings: module for module in vars(shadow).values() if hasattr(module, "settings")
 }
@@ -30,7 +30,7 @@ def build_technique(config: Config, *, fitting: bool = True) -> shadow.AbstractT
     **Arguments:**
 
     - `fitting`: whether its numbers may later be set to any value within the bounds of their fit. Otherwise the section
-        `fit` is ignored: a box filter takes only the taps that the radius of `config` needs.
+      `fit` is ignored, and a box filter takes only the taps for the radius of `config`.
 
     **Raises** `ConfigError` if its parts cannot be made.
     """
@@ -139,7 +139,7 @@ def build_compare(section: Compare) -> shadow.AbstractCompare:
 
 
 def build_layout(config: Config, *, fitting: bool) -> shadow.AbstractLayout:
-    """How the map of `config` is laid out; `fitting` is as for `build_filter`."""
+    """The layout of the map of `config`. `fitting` is as for `build_filter`."""
     if not isinstance(config.technique, FittedLayout):
         return shadow.SingleMap()
     bounds = config.fit.parameters if fitting else {}
@@ -151,21 +151,21 @@ def build_layout(config: Config, *, fitting: bool) -> shadow.AbstractLayout:
 
 
 def module_of(section: Any) -> Any:
-    """The module that a section with several variants describes."""
+    """The module for a section with several variants."""
     settings = settings_of(type(section))
     return _MODULES[settings] if settings.plugin is None else _guarded(settings)
 
 
 def _guarded(settings: type[Settings]) -> Any:
-    """Makes what a user's class describes. Whatever that raises is a mistake of the configuration."""
+    """Makes the object of a user's class. Whatever that raises is a mistake of the configuration."""
 
     def make(**arguments: Any) -> Any:
         try:
             return settings.plugin(**arguments)
         except Exception as error:
             raise ValueError(
-                f"cannot be made: {vars(settings)['type']} raises {type(error).__name__}: {error}; expected an object: "
-                "change its keys, or mend the class"
+                f"cannot be made: {vars(settings)['type']} raises {type(error).__name__}: {error}; expected an "
+                "object: change its keys, or fix the class"
             ) from error
 
     return make

@@ -1,4 +1,4 @@
-"""Which parts of a scene a configuration leaves to the program."""
+"""The parts of a scene that a configuration leaves to the program."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -6,15 +6,15 @@ from typing import Any, NamedTuple
 from ..sections._section import given, value_at
 
 AUTO = "auto"
-"""The word for a part that is found."""
+"""The word for a part that the program finds."""
 _PLACE = ("eye", "orbit", "target")
 _SUN = ("azimuth", "elevation", "direction")
 
 
 class Asked(NamedTuple):
-    """Which parts the program has to find: a camera without a position, a light of the type auto, and a ground.
+    """The parts that the program has to find: a camera without a position, a light of the type auto, and a ground.
 
-    - `sun`: whether the light must be a sun, since some of its angles are given.
+    - `sun`: whether the light must be a sun, because some of its angles are given.
     """
 
     camera: bool
@@ -40,14 +40,14 @@ def spell_out(data: dict[str, Any]) -> None:
 
 
 def asked_in(data: dict[str, Any]) -> tuple[Asked, dict[str, Any]]:
-    """The parts that `data` leaves to the program, and the data with a sun in place of a light that has to be found, so
+    """The parts that `data` leaves to the program. Also the data with a sun instead of a light that has to be found, so
     that all other values can be checked. Values of `data` may have any type."""
     spell_out(data)
     scene = data.get("scene")
     if not isinstance(scene, dict):
         return Asked(False, False, False, False), data
     camera, light = scene.get("camera", {}), scene.get("light")
-    # The key of a place that is found would stand beside the key of the views.
+    # The key of the found position would conflict with the key of the views.
     placeless = isinstance(camera, Mapping) and not given(camera, *_PLACE) and not _views_place(data, _PLACE)
     ground = scene.get("ground") == AUTO
     if not isinstance(light, Mapping) or light.get("type") != AUTO:
@@ -62,7 +62,7 @@ def _views_place(data: Any, keys: tuple[str, ...]) -> bool:
 
 
 def _sets_camera(value: Any, keys: tuple[str, ...]) -> bool:
-    """Whether a key somewhere in `value`, a section of views, is one of these `keys` of the camera."""
+    """Whether one of these `keys` of the camera occurs anywhere in `value`, a section of views."""
     if isinstance(value, Mapping):
         words = (str(key).split(".") for key in value)
         if any(key[:2] == ["scene", "camera"] and len(key) > 2 and key[2] in keys for key in words):

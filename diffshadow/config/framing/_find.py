@@ -18,10 +18,9 @@ from ..sections._scene import DirectionalLightConfig, MeshConfig
 from ._auto import Asked
 from ._meshes import place_mesh
 
-# Digits of lengths, counted from the scene's size.
+# Digits of lengths, relative to the scene's size.
 _DIGITS = 4
-# Meshes whose triangles are kept, ones whose boxes are, and scenes whose parts that were found: views and runs share
-# them.
+# The numbers of cached meshes, of cached boxes, and of cached scenes with found parts. Views and runs share them.
 _MAX_KEPT, _MAX_BOXES, _MAX_ARRANGED = 4, 4096, 64
 _kept: dict[str, Float[HostArray, "f 3 3"]] = {}
 _boxes: dict[str, Float[HostArray, "2 3"]] = {}
@@ -36,12 +35,12 @@ class Found(NamedTuple):
 
 
 def find(config: Config, scene: Mapping[str, Any], asked: Asked) -> Found | None:
-    """Finds the `asked` parts of `scene`; none if one of its meshes cannot be made, since building the mesh reports
+    """Finds the `asked` parts of `scene`. `None` if one of its meshes cannot be made, because building the mesh reports
     this.
 
     **Arguments:**
 
-    - `config`: valid, with other values in place of these parts; `scene`: the section as given.
+    - `config`: valid, with other values for these parts; `scene`: the section as given.
     """
     try:
         meshes = [corners_of(mesh) for mesh in config.scene.meshes]
@@ -51,7 +50,7 @@ def find(config: Config, scene: Mapping[str, Any], asked: Asked) -> Found | None
     casts = np.repeat([mesh.casts for mesh in config.scene.meshes], [len(each) for each in meshes])
     camera = config.scene.camera
     up = np.asarray(camera.up, float)
-    # The first light stands for all.
+    # The first light represents all lights.
     first = next(iter(config.scene.each_light.values()))
     light = frame_light(first, meshes[0]) if asked.sun or not asked.light else None
     view = None if asked.camera else _given_camera(camera, meshes[0])
@@ -65,7 +64,7 @@ def find(config: Config, scene: Mapping[str, Any], asked: Asked) -> Found | None
 def _written(
     scene: Mapping[str, Any], found: geometry.Arranged, corners: Float[HostArray, "f 3 3"], up: HostArray, asked: Asked
 ) -> Found:
-    """The section `scene` with what was found."""
+    """The section `scene` with the found parts."""
     size = np.ptp(corners, axis=(0, 1))
     places = _DIGITS - math.floor(math.log10(max(float(np.linalg.norm(size)), np.finfo(np.float32).tiny)))
     number = lambda value: float(f"{round(float(value), places):.12g}") + 0.0
@@ -89,7 +88,7 @@ def _written(
     if asked.ground:
         if found.plane is None:
             what = "it is a room" if found.is_room else "it has one"
-            notes.append(f"scene.ground adds nothing to the scene, since {what}")
+            notes.append(f"scene.ground adds nothing to the scene, because {what}")
         else:
             middle, side = point(found.plane[0]), number(found.plane[1])
             plane: dict[str, Any] = {"path": "builtin:plane", "options": {"size": side}, "translate": middle}
@@ -105,7 +104,7 @@ def _written(
 def _light(
     found: geometry.Arranged, given: dict[str, Any], point: Any, number: Any, up: HostArray
 ) -> tuple[dict[str, Any], str]:
-    """The section of a light that was found, and its name in remarks."""
+    """The section of a found light, and its name in remarks."""
     if found.lamp is not None:
         position, radius = point(found.lamp[0]), number(found.lamp[1])
         lamp = {"type": "point", "position": position, "radius": radius}
@@ -174,7 +173,7 @@ def corners_of(section: MeshConfig) -> Float[HostArray, "f 3 3"]:
 
 
 def box_of(section: MeshConfig) -> Float[HostArray, "2 3"]:
-    """The least and the greatest coordinates of a mesh in the world."""
+    """The minimum and maximum coordinates of a mesh in the world."""
 
     def make() -> Float[HostArray, "2 3"]:
         corners = corners_of(section)
@@ -184,7 +183,7 @@ def box_of(section: MeshConfig) -> Float[HostArray, "2 3"]:
 
 
 def _key_of(section: MeshConfig) -> str:
-    """What the triangles of a mesh depend on."""
+    """The key of a mesh's triangles."""
     key = section.model_dump_json()
     if section.builtin is None:
         state = os.stat(section.path)
@@ -193,7 +192,7 @@ def _key_of(section: MeshConfig) -> str:
 
 
 def _remembered[K, V](kept: dict[K, V], most: int, key: K, make: Callable[[], V]) -> V:
-    """What `make` returns, kept for the next calls with this key; the oldest is dropped first."""
+    """The result of `make`, cached for later calls with this key. The oldest result is dropped first."""
     if key not in kept:
         made = make()
         while len(kept) >= most:

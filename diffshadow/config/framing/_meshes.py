@@ -26,12 +26,12 @@ class Placed(NamedTuple):
     textures: geometry.Textures | None = None
 
     def counted_from(self, origin: geometry.Origin) -> geometry.Mesh:
-        """The mesh with its coordinates counted from `origin`, which single precision can then hold."""
+        """The mesh with coordinates relative to `origin`, so that single precision suffices."""
         return geometry.Mesh(self.vertices - np.asarray(origin), *self[1:])
 
     @property
     def bounds(self) -> Float[HostArray, "2 3"]:
-        """Least and greatest coordinates of the vertices that faces use, (2, 3), in double precision."""
+        """The minimum and maximum coordinates of the vertices that faces use, (2, 3), in double precision."""
         used = self.vertices[np.unique(self.faces)]
         return np.stack([used.min(axis=0), used.max(axis=0)])
 
@@ -46,7 +46,7 @@ def build_mesh(config: MeshConfig) -> geometry.Mesh:
 
 def place_mesh(config: MeshConfig) -> Placed:
     """`build_mesh` in double precision."""
-    # In NumPy: nothing is compiled.
+    # NumPy, so that nothing is compiled.
     with jax.enable_x64(True):
         if config.builtin is not None:
             mesh, albedo = geometry.library_mesh(config.builtin, **config.options), config.albedo
@@ -65,9 +65,10 @@ def place_mesh(config: MeshConfig) -> Placed:
 def _placed(mesh: geometry.Mesh, scale: float, rotate: Triple, translate: Triple, albedo: Any) -> Placed:
     """The mesh scaled, then rotated about x, y and z in this order by `rotate` degrees, then translated.
 
-    It equals `Mesh.transformed`, in NumPy and in double precision: a program would be compiled for every size of mesh.
+    Equals `Mesh.transformed`, but in NumPy and in double precision, because a program would be compiled for every size
+    of mesh.
 
-    **Raises** `ValueError` if it reaches too far.
+    **Raises** `ValueError` if it extends too far.
     """
     turn = np.eye(3)
     for axis, angle in enumerate(np.radians(rotate)):

@@ -1,4 +1,4 @@
-"""How many texels of a map a scene's casters have across, which the bias by default depends on."""
+"""The width of a scene's casters in texels, which the default bias depends on."""
 
 import math
 from typing import Any
@@ -15,18 +15,18 @@ from ._find import box_of, corners_of, frame_light
 
 Boxes = Float[HostArray, "m 2 3"]
 
-# A mesh that is thinner than this part of its length, such as a ground, says nothing: its shadow is as long as it is
-# high above what it falls on.
+# A mesh that is thinner than this fraction of its length, such as a ground, is ignored. The length of its shadow
+# depends on its height above the receiver.
 _FLAT = 1e-3
-# A point beside a light is as if it were this far before it, in world units.
+# The minimum distance of a point in front of a light, in world units.
 _NEAR = 1e-6
 
 
 def texels_across(config: Config) -> Float[HostArray, " n"]:
-    """How many texels of a single map each caster is wide: the middle side of its bounding box, in texels at its
-    middle. With several lights, the light with the largest texels counts.
+    """The width of each caster in texels of a single map: the middle side of its bounding box, at its centre. If there
+    are several lights, the light with the largest texels counts.
 
-    Meshes without a thickness are left out. The result is empty if a mesh cannot be made, since building the mesh
+    Meshes without a thickness are left out. The result is empty if a mesh cannot be made, because building the mesh
     reports this.
     """
     try:
@@ -55,7 +55,7 @@ def _width(
     casts: Bool[HostArray, " m"],
     middles: Float[HostArray, "n 3"],
 ) -> Float[HostArray, " n"]:
-    """How wide a light's map is at each of some places, in world units: the side of a square with the same area."""
+    """The width of a light's map at each position, in world units: the side of a square with the same area."""
     corners = _corners(boxes)
     if placed.position is None:
         if light.shadow_camera is not None:
@@ -87,7 +87,7 @@ def _corners(boxes: Boxes) -> Float[HostArray, "c 3"]:
 
 
 def _plane(direction: Float[HostArray, "3"]) -> Float[HostArray, "2 3"]:
-    """The axes of a sun's map, for one with `+y` up."""
+    """The axes of a sun's map, for a map with `+y` up."""
     axis = direction / np.linalg.norm(direction)
     side = np.cross(UP, axis)
     side = np.array([1.0, 0.0, 0.0]) if np.linalg.norm(side) < _FLAT else side / np.linalg.norm(side)

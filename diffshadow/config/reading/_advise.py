@@ -21,9 +21,9 @@ from ._mistakes import mistakes_of
 from ._sweep_runs import CheckProgress, Sweep, SweepRuns
 
 _SIZE = "shadow_map.resolution"
-# Each is a fit.
+# Each technique is a fit.
 _MAX_TECHNIQUES = 1024
-# What a fit says of its parameters beyond the best: techniques are compared at their best.
+# Settings for more than the best parameters. Techniques are compared at their best parameters.
 _OF_ONE_FIT = ("intervals", "prefer", "front")
 
 
@@ -43,7 +43,7 @@ class Advice(NamedTuple):
     """The fits of a recommendation.
 
     - `sweep`: a fit for each technique; `techniques`: the techniques, in the same order.
-    - `engine`: the engine, if the techniques are an engine's.
+    - `engine`: the engine, if the techniques belong to an engine.
     """
 
     settings: AdviseConfig
@@ -57,9 +57,9 @@ def load_advice(
 ) -> Advice:
     """Loads the fits of the section `advise` in the YAML file `path`, with `overrides` applied, like `load_sweep`.
 
-    Without this section, the techniques are the defaults of the section.
+    Without this section, the techniques are its defaults.
 
-    **Raises** `ConfigError` with everything that is wrong with the file, the overrides or any of the fits.
+    **Raises** `ConfigError` with all mistakes in the file, the overrides and the fits.
     """
     draft = load_draft(path, overrides)
     settings = _settings_of(draft)
@@ -93,7 +93,7 @@ def _settings_of(draft: Draft) -> AdviseConfig:
         message = "makes this file a sweep; expected one without; override sweep=null"
         mistakes.append(Mistake(draft.origin.place(("sweep",)), "sweep", message))
     technique = TECHNIQUES.of(draft.data.get("technique"))
-    # The default lists are of shadow maps.
+    # The default lists are for shadow maps.
     has_lists = all(value_at(draft.data, "advise", name) is not None for name in LISTS)
     if not issubclass(technique, Mapped) and not (issubclass(technique, Engine) and has_lists):
         path = ("technique", "type")
@@ -144,7 +144,7 @@ def _sizes_of(draft: Draft) -> tuple[tuple[int, int], ...]:
 
 
 def _entry(pair: Sequence[tuple[int, Mapping[str, Any]]]) -> tuple[dict[str, Any], dict[str, KeyPath]]:
-    """The entry of a sweep's list for a bias and a filter, and the path in the file of each of its keys."""
+    """The entry of a sweep's list for a bias and a filter, and the path of each of its keys in the file."""
     entry: dict[str, Any] = {LABEL: ", ".join(each[LABEL] for _, each in pair)}
     paths: dict[str, KeyPath] = {}
     parameters: dict[str, Any] = {}
@@ -154,5 +154,5 @@ def _entry(pair: Sequence[tuple[int, Mapping[str, Any]]]) -> tuple[dict[str, Any
         if each.get(PARAMETERS):
             parameters |= each[PARAMETERS]
             paths["fit.parameters"] = ("advise", name, i, PARAMETERS)
-    # An empty section is reported by the fit.
+    # The fit reports an empty section.
     return entry | {"fit.parameters": parameters}, {"fit.parameters": ("advise",), **paths}

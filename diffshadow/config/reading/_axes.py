@@ -1,4 +1,4 @@
-"""The choices on axes: the values, and where they were written."""
+"""The choices on axes: values, and the places where they were written."""
 
 import copy
 import json
@@ -33,14 +33,14 @@ class Choice(NamedTuple):
 
 
 def levels_of(settings: AxesConfig, draft: Draft) -> list[list[Choice]]:
-    """The choices on each axis, the slowest axis first.
+    """The choices on each axis, with the slowest axis first.
 
     **Arguments:**
 
     - `settings`: a section of axes; `draft`: the draft of the configuration that contains the section. A sweep's
-        `repeats` count upwards from its seed.
+      `repeats` count upwards from its seed.
 
-    **Raises** `ConfigError` if no file matches a pattern, or the sun is below the horizon.
+    **Raises** `ConfigError` if no file matches a pattern, or if the sun is below the horizon.
     """
     at = tuple(settings.at.split("."))
     single = lambda key, values, kind: [Choice({key: v}, {key: (*at, kind, key, i)}) for i, v in enumerate(values)]
@@ -72,7 +72,7 @@ def levels_of(settings: AxesConfig, draft: Draft) -> list[list[Choice]]:
 
 
 def steps_of(flicker: FlickerConfig | None) -> list[Choice]:
-    """The points along the path over which flicker is measured; none without such a path."""
+    """The points along the path for the measurement of flicker. Empty without such a path."""
     if flicker is None:
         return []
     paths = {key: ("sweep", "flicker", "through", key) for key in flicker.through}
@@ -90,7 +90,7 @@ def _seeds(settings: SweepConfig, draft: Draft) -> list[list[Choice]]:
 
 
 def written(draft: Draft, choice: Choice, origin: Origin) -> Draft:
-    """`draft` with the values of `choice`. Their places in the file are the places of the axes, taken from `origin`."""
+    """`draft` with the values of `choice`. Their places in the file are the places of the axes, from `origin`."""
     data, places, mistakes = copy.deepcopy(draft.data), dict(draft.origin.places), list(draft.mistakes)
     for key, value in choice.values.items():
         # JSON is YAML, so an override preserves the value.
@@ -107,7 +107,7 @@ def written(draft: Draft, choice: Choice, origin: Origin) -> Draft:
 def _matching(pattern: str, path: KeyPath, draft: Draft) -> list[str]:
     """The files that match a pattern, in order."""
     place = draft.origin.place(path)
-    # Patterns in overrides are relative to the current folder, as paths are.
+    # Patterns in overrides are relative to the current folder, like paths.
     folder = (draft.folder if place.line is not None else Path()) / Path(pattern).parent
     files = sorted(str(file.absolute()) for file in folder.glob(Path(pattern).name) if file.is_file())
     if not files:
@@ -164,7 +164,7 @@ def _entry(at: KeyPath, index: int, entry: Mapping[str, Any]) -> Choice:
 
 
 def _merged(levels: Sequence[list[Choice]]) -> list[list[Choice]]:
-    """`levels`, with neighbours of a single choice merged, since there may be thousands of them."""
+    """`levels`, with neighbours of a single choice merged, because there may be thousands of them."""
     merged: list[list[Choice]] = []
     for level in levels:
         if len(level) == 1 and merged and len(merged[-1]) == 1:
@@ -177,7 +177,7 @@ def _merged(levels: Sequence[list[Choice]]) -> list[list[Choice]]:
 
 def _points(settings: QuasiRandomConfig) -> list[dict[str, Any]]:
     """The points of the sequence, scaled to the axes' ranges."""
-    # Imported here, since SciPy loads slowly and most sweeps do not need it.
+    # Imported here, because SciPy is slow to load and most sweeps do not need it.
     from scipy.stats import qmc
 
     make = {"sobol": qmc.Sobol, "halton": qmc.Halton}[settings.sequence]

@@ -16,7 +16,7 @@ from ._yaml import read_yaml
 class Draft(NamedTuple):
     """An unchecked configuration, and the mistakes found so far.
 
-    - `folder`: the folder that relative paths in the file start from.
+    - `folder`: the folder for relative paths in the file.
     """
 
     data: dict[str, Any]
@@ -28,15 +28,15 @@ class Draft(NamedTuple):
 def load_draft(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Draft:
     """Reads the YAML file `path` and applies `overrides`.
 
-    `path` may also be `builtin:NAME`, a configuration that comes with the package, or a mesh file, which is put into
-    the scene of `builtin:quickstart`.
+    `path` may also be `builtin:NAME`, a configuration of the package, or a mesh file, which replaces the mesh of
+    `builtin:quickstart`.
 
     **Raises** `ConfigError` if the file cannot be read, or is not YAML.
     """
     file, source = resolved_path(path), str(path)
     if "\0" not in str(file) and is_mesh(file):
         data, notes = template_of_mesh(file)
-        # What the program writes has no line.
+        # Text that the program writes has no line.
         places: dict[KeyPath, Location] = {(): Location(str(file))}
         mistakes = apply_overrides(data, places, overrides)
         return Draft(data, Origin(str(file), places, notes), file.absolute().parent, mistakes)
@@ -75,5 +75,5 @@ def _unreadable(file: Path, error: OSError | ValueError) -> str:
         case OSError():
             given = f"cannot be read ({error.strerror})"
             return f"{given}; expected a configuration in YAML; check the path and its permissions"
-        case _:  # a null character
+        case _:  # A null character.
             return "is not the name of a file; expected a configuration in YAML; check the path"

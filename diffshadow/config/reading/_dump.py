@@ -24,8 +24,8 @@ class Row(NamedTuple):
 
 
 def dump_resolved(config: Config) -> str:
-    """`config` as YAML with every default written out; loading it gives an equal configuration."""
-    # Of many runs, most sections are equal, and YAML takes several milliseconds to write.
+    """`config` as YAML with all defaults. Loading it gives an equal configuration."""
+    # Most sections of many runs are equal, and YAML takes several milliseconds to write.
     return "".join(_dumped(pickle.dumps({key: value})) for key, value in _plain(config).items())
 
 
@@ -52,7 +52,7 @@ def describe(config: Config) -> list[Row]:
 
 
 def _plain(value: Any) -> Any:
-    """`value` as dicts, lists and scalars, without the keys that have no value."""
+    """`value` as dicts, lists and scalars, without keys that have no value."""
     if isinstance(value, str | int | float):
         return value
     if isinstance(value, Section):
@@ -86,7 +86,7 @@ def _text(value: Any) -> str:
 
 
 class _Dumper(yaml.SafeDumper):
-    """Writes what `read_yaml` reads: YAML 1.2's scalars, with lists of numbers on one line."""
+    """Writes YAML for `read_yaml`: YAML 1.2's scalars, with lists of numbers on one line."""
 
     def ignore_aliases(self, data: Any) -> bool:
         """Never writes aliases, even if a list occurs twice."""
@@ -98,10 +98,10 @@ _LINE_BREAKS = frozenset("\x85\u2028\u2029")
 
 
 def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.Node:
-    # PyYAML quotes what YAML 1.1 would misread. YAML 1.2 reads more text as numbers, such as 1e-3.
+    # PyYAML quotes text that YAML 1.1 would misread. YAML 1.2 reads more text as numbers, such as 1e-3.
     style = None if isinstance(plain_scalar(text), str) else "'"
     if _LINE_BREAKS.intersection(text):
-        # In single quotes, a line break would be folded to a space.
+        # Single quotes would fold a line break to a space.
         style = '"'
     return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=style)
 

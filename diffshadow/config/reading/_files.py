@@ -1,4 +1,4 @@
-"""The files that a configuration names: found by the mark `InputFile` on their keys."""
+"""The files that a configuration names, found by the mark `InputFile` on their keys."""
 
 import difflib
 import functools
@@ -46,7 +46,7 @@ def files_in(value: Any, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Any, str
 # Thousands of runs have the same keys.
 @functools.lru_cache(maxsize=4096)
 def _mark_at(path: KeyPath) -> InputFile | None:
-    """The mark of the key at `path`. In a section of views, that is the key that views set."""
+    """The mark of the key at `path`. In a section of views, it is the mark of the key that views set."""
     steps = path[3:] if path[:2] in _VIEWS else path
     words = ".".join(step for step in steps if isinstance(step, str)).split(".")
     return file_marks().get(".".join(word for word in words if not word.isdecimal()))
@@ -55,7 +55,7 @@ def _mark_at(path: KeyPath) -> InputFile | None:
 def resolve_files(data: Any, origin: Origin, folder: Path) -> list[Mistake]:
     """Makes the paths of input files in `data` absolute.
 
-    **Returns** a mistake for each file that does not exist. Files of views are looked for when the view is checked.
+    **Returns** a mistake for each file that does not exist. Files of views are checked together with their view.
     """
     mistakes = []
     for path, holder, given in [*files_in(data)]:
@@ -70,7 +70,7 @@ def resolve_files(data: Any, origin: Origin, folder: Path) -> list[Mistake]:
         except PydanticCustomError as error:
             what = error.message()
         except UnicodeEncodeError:
-            what = f"is {file}, whose name is not UTF-8; expected one that is; rename the file or a folder"
+            what = f"is {file}, whose name is not UTF-8; expected a name in UTF-8; rename the file or a folder"
         except OSError as error:
             what = f"cannot be read ({error.strerror}); expected a file; check the path and its permissions"
         if what is not None and path[:2] not in _VIEWS:
@@ -82,7 +82,7 @@ def _missing(file: Path) -> str:
     if file.is_dir():
         return f"is the folder {file}; expected a file; give the name of a file in it"
     mend = f"did you mean {BUILTIN + file.name!r}?" if file.name in PIECES else neighbour(file)
-    return f"there is no file {file}; expected one that can be read; {mend}"
+    return f"there is no file {file}; expected a readable file; {mend}"
 
 
 def neighbour(file: Path) -> str:
@@ -115,11 +115,11 @@ def _installed() -> frozenset[str]:
 
 
 def user_modules(config: Config) -> list[Path]:
-    """The files of modules, and the folders of packages, whose classes `config` names and that are not installed."""
+    """The files of modules, and the folders of packages, that define classes of `config` and are not installed."""
     words = [getattr(section, "type", None) for section in (config.technique, config.filter, config.fit.loss)]
     names = {word.partition(COLON)[0].split(".")[0] for word in words if isinstance(word, str) and COLON in word}
     found = []
-    # Looking through what is installed takes a second.
+    # Searching the installed packages takes a second.
     for name in sorted(names - _installed()) if names else ():
         file = Path(getattr(sys.modules[name], "__file__", None) or "")
         found.append(file.parent if file.name == "__init__.py" else file)

@@ -1,4 +1,4 @@
-"""Looks up keys in the schema: their types in plain words, units and paths."""
+"""Finds keys in the schema: their types in plain words, units and paths."""
 
 import functools
 from collections.abc import Iterator, Sequence
@@ -27,13 +27,13 @@ class Slot(Setting):
 
     @property
     def variants(self) -> tuple[type[Section], ...]:
-        """The sections that are allowed here; empty if the value is not a section."""
+        """The sections that are valid here. Empty if the value is not a section."""
         if self._named is not None:
             return tuple(self._named.sections.values())
         return (self.kind,) if isinstance(self.kind, type) and issubclass(self.kind, Section) else ()
 
     def variant(self, word: str | int) -> type[Section] | None:
-        """The variant that is called `word`, if a type selects variants."""
+        """The variant named `word`, if a type selects variants."""
         return None if self._named is None else self._named.named(word)
 
     @property
@@ -67,7 +67,7 @@ class FollowedPath:
 
 
 def follow(location: Sequence[str | int]) -> FollowedPath:
-    """Resolves one of pydantic's locations, which contain the names of variants between keys."""
+    """Resolves a location of pydantic, which contains the names of variants between keys."""
     path: KeyPath = ()
     slot: Slot | None = ROOT
     section: type[Section] | None = None
@@ -78,7 +78,7 @@ def follow(location: Sequence[str | int]) -> FollowedPath:
         if slot is not None and chosen is not None:
             slot = Slot(chosen, field=slot.field, siblings=among)
             continue
-        # A fault found by the enclosing section does not name a variant, so take any that has the key.
+        # A fault found by the enclosing section does not name a variant, so any variant with the key will do.
         section = next((variant for variant in among if step in variant.model_fields), among[0] if among else None)
         variants = (slot.siblings or among) if slot is not None else ()
         path = (*path, step)
@@ -88,7 +88,7 @@ def follow(location: Sequence[str | int]) -> FollowedPath:
 
 @functools.cache
 def keys_of(section: type[Section]) -> tuple[str, ...]:
-    """The keys of `section`, `type` first."""
+    """The keys of `section`, with `type` first."""
     return tuple(sorted(section.model_fields, key=lambda key: key != "type"))
 
 
@@ -99,7 +99,7 @@ def slot_of(field: FieldInfo) -> Slot:
 
 
 def _all_keys(slot: Slot = ROOT, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Slot]]:
-    """The path and the slot of every key in the schema; entries of lists have the index 0."""
+    """The path and the slot of every key in the schema. Entries of lists have the index 0."""
     for variant in slot.variants:
         for key, field in variant.model_fields.items():
             inner = slot_of(field)
@@ -122,10 +122,10 @@ def places_of(key: str) -> tuple[str, ...]:
 
 
 def is_key(name: str) -> bool:
-    """Whether there are configurations with the dotted key `name`. An index is valid for a list of any length."""
+    """Whether the dotted key `name` exists in some configuration. An index is valid for a list of any length."""
     path: KeyPath = tuple(0 if word.isdecimal() else word for word in name.split("."))
     known = _every_key()
-    # The numbers of a list have no keys of their own.
+    # The numbers of a list have no keys.
     return path in known or (path[-1] == 0 and path[:-1] in known)
 
 

@@ -40,12 +40,12 @@ def load_config(
     - `fitting`: whether to check the section `fit` against the other sections. Needed for a fit, not for a render.
     - `files`: whether input files must exist, and the modules of users' classes. A report on a finished run needs only
         the settings.
-    - `finding`: whether to find what the configuration leaves out: a camera, a light, a ground, or a bias. That loads
-        the meshes. Without it, all is checked, but the configuration is not complete.
+    - `finding`: whether to find a missing camera, light, ground or bias. This loads the meshes. Without it, everything
+      is checked, but the configuration is not complete.
 
     **Returns:** the configuration, with all paths absolute except `output`.
 
-    **Raises** `ConfigError` with everything that is wrong with the file and the overrides.
+    **Raises** `ConfigError` with all mistakes in the file and the overrides.
     """
     return _single(checked(load_draft(path, overrides), fitting=fitting, files=files, finding=finding))
 
@@ -65,7 +65,7 @@ def parse_config(
     **Arguments:**
 
     - `source`: the name of the text in errors.
-    - `folder`: the folder that relative paths in the text start from.
+    - `folder`: the folder for relative paths in the text.
     - `name`: the run's name if the text does not set one.
     - `fitting`, `files`: as in `load_config`.
 
@@ -90,15 +90,15 @@ def checked(draft: Draft, *, fitting: bool = False, files: bool = True, finding:
 
     - `fitting`, `files`, `finding`: as in `load_config`.
 
-    **Raises** `ConfigError` with everything that is wrong.
+    **Raises** `ConfigError` with all mistakes.
     """
     data, origin = draft.data, draft.origin
     missing = resolve_files(data, origin, draft.folder)
     mistakes = [*draft.mistakes, *(missing if files else ())]
     if unusable := add_plugins(data, origin, draft.folder, needed=files):
-        # A section cannot be checked without its class, and neither can the numbers that are fitted in it.
+        # Neither a section nor its fitted numbers can be checked without its class.
         raise ConfigError([*mistakes, *unusable])
-    # Views and runs of a sweep may set a part to auto, too.
+    # Views and runs of a sweep may also set a part to auto.
     asked, complete = asked_in(data)
     config = _valid(complete, origin, mistakes)
     if fitting:
@@ -119,12 +119,12 @@ def checked(draft: Draft, *, fitting: bool = False, files: bool = True, finding:
 def _valid(data: dict[str, Any], origin: Origin, mistakes: list[Mistake]) -> Config:
     """The configuration of `data`.
 
-    **Raises** `ConfigError` with `mistakes` and everything that is wrong with it.
+    **Raises** `ConfigError` with `mistakes` and all further mistakes.
     """
     try:
         config = Config.model_validate(data)
     except ValidationError as error:
-        # A value that could not be read is missing, and must not be reported twice.
+        # An unreadable value is missing, and must not be reported twice.
         reported = {(mistake.key, mistake.place.line) for mistake in mistakes}
         found = (each for each in mistakes_of(error, origin) if (each.key, each.place.line) not in reported)
         raise ConfigError([*mistakes, *found]) from None
@@ -135,8 +135,8 @@ def _valid(data: dict[str, Any], origin: Origin, mistakes: list[Mistake]) -> Con
 def _with_found(
     config: Config, data: dict[str, Any], complete: dict[str, Any], asked: Asked
 ) -> tuple[Config, dict[str, Any]]:
-    """`config` and `data` with the parts of the scene that are `asked` for; `complete` has others in their place."""
-    # It loads JAX, which other configurations do without.
+    """`config` and `data` with the parts of the scene that are `asked` for. `complete` has other values for them."""
+    # Loads JAX, which other configurations do not need.
     from ..framing._find import find
 
     found = find(config, data["scene"], asked)
@@ -149,19 +149,19 @@ def _with_found(
 
 
 def _with_bias_for(config: Config, data: dict[str, Any]) -> tuple[Config, dict[str, Any]]:
-    """`config` and `data` with the constant bias that suits the size of the casters, if no constant is given."""
+    """`config` and `data` with a constant bias for the size of the casters, if no constant is given."""
     given = "constant" in (data.get("bias") or {})
-    # Other layouts have texels that suit what the camera sees.
+    # The texels of other layouts depend on the camera's view.
     if given or not config.bias.constant or not isinstance(config.technique, SingleMap):
         return config, data
-    # It loads JAX, which other configurations do without.
+    # Loads JAX, which other configurations do not need.
     from ..framing._texels import texels_across
 
     across = texels_across(config)
     if not len(across):
         return config, data
     data = dict(with_bias(data, float(median(across))))
-    # Only this section changes, and to check all others again would take as long as the first time.
+    # Only this section changes. Checking the others again would take as long as the first time.
     made = changed(config, bias=type(config.bias).model_validate(data["bias"]))
     if any(True for _ in made.faults()):
         made = Config.model_validate(data)

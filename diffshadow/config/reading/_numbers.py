@@ -9,7 +9,7 @@ from ..sections._scene import LIGHTS
 from ..sections._section import Section
 from ._keys import Slot, keys_of, slot_of
 
-# Of a mesh, the numbers that keep its faces.
+# The numbers of a mesh that do not change its faces.
 _PLACEMENT = ("translate", "rotate", "scale")
 # Sides of maps, in texels.
 _SIDES = (256, 512, 1024, 2048, 4096)
@@ -19,7 +19,7 @@ class Number(NamedTuple):
     """A number of a configuration.
 
     - `value`, `unit`, `limits`: value, unit and limits of its key.
-    - `meaning`: what it does; empty if nothing says so.
+    - `meaning`: its description; may be empty.
     - `is_fittable`: whether a fit of the technique can find its value.
     """
 
@@ -31,11 +31,11 @@ class Number(NamedTuple):
 
 
 class Choice(NamedTuple):
-    """A setting of a configuration that has one of several values, or is a whole number.
+    """A setting with a fixed set of values, or a whole number.
 
-    - `value`, `options`: value and options of its key; a whole number has `limits` in place of options.
+    - `value`, `options`: value and options of its key. A whole number has `limits` instead of options.
     - `sets`: the key to set; for the key `type` of a section, the whole section.
-    - `meaning`: what it does; empty if nothing says so.
+    - `meaning`: its description; may be empty.
     """
 
     value: Any
@@ -46,8 +46,8 @@ class Choice(NamedTuple):
 
 
 def numbers_of(config: Config) -> dict[str, Number]:
-    """The numbers of technique, lights, meshes, camera and shading that can change while everything else stays as it is
-    built, by dotted key. Entries of lists have an index, as in `scene.meshes.0.translate.1`."""
+    """The numbers of technique, lights, meshes, camera and shading that can change without building anything again, by
+    dotted key. Entries of lists have an index, as in `scene.meshes.0.translate.1`."""
     found = {}
     for key, light in config.scene.each_light.items():
         found |= _within(light, ".".join(map(str, ("scene", *key))))
@@ -82,7 +82,7 @@ def with_number(config: Config, name: str, value: float) -> Config:
 
 
 def _within(section: Any, path: str) -> dict[str, Number]:
-    """The numbers in `section` and in its inner ones that are fractions."""
+    """The fractional numbers in `section` and in its inner sections."""
     found, units = {}, section.units()
     for key in keys_of(type(section)):
         value, slot, name = getattr(section, key), slot_of(type(section).model_fields[key]), f"{path}.{key}"
@@ -100,7 +100,7 @@ def _within(section: Any, path: str) -> dict[str, Number]:
 
 
 def _choices_within(section: Any, slot: Slot, path: str) -> dict[str, Choice]:
-    """The choices in `section`, which stands in `slot`, and in its inner ones."""
+    """The choices in `section`, whose slot is `slot`, and in its inner sections."""
     found = {}
     for key in keys_of(type(section)):
         value, inner = getattr(section, key), slot_of(type(section).model_fields[key])

@@ -1,4 +1,4 @@
-"""The settings that a finished run found, as configurations."""
+"""The results of finished runs as configurations."""
 
 import os
 from collections.abc import Mapping
@@ -13,13 +13,13 @@ from ._dump import dump_resolved
 from ._load import parse_config
 
 CONFIG_FILE = "config.yaml"
-"""The configuration that a run started from, in the run's folder."""
+"""The name of the configuration in a run's folder."""
 RESULT_FILE = "result.json"
-"""The numbers of a run, in its folder."""
+"""The name of the numbers in a run's folder."""
 FITTED_FILE = "fitted.yaml"
-"""The configuration with the fitted values, in the folder of a fit."""
+"""The name of the configuration with the fitted values, in the folder of a fit."""
 RECOMMENDED_FILE = "recommended.yaml"
-"""The configuration of the chosen technique, in the folder of a recommendation."""
+"""The name of the recommended configuration, in the folder of a recommendation."""
 # Significant digits of a fitted value: as many as float32 has.
 _DIGITS = 8
 _COPY = "copy config.yaml to another folder, set the values of result.json in it, and give that file"
@@ -28,7 +28,7 @@ _COPY = "copy config.yaml to another folder, set the values of result.json in it
 class SettingsFile(NamedTuple):
     """A configuration's file.
 
-    - `origin`: where the configuration's values come from, as a part of a sentence.
+    - `origin`: the source of the configuration's values, as a part of a sentence.
     """
 
     path: Path
@@ -46,10 +46,10 @@ def settings_file(path: str | os.PathLike[str], *, sweep: bool = False) -> Setti
     **Returns** `fitted.yaml` of a fit, `recommended.yaml` of a recommendation, `config.yaml` of a render, and otherwise
     `path`.
 
-    **Raises** `ConfigError` for a folder without a run, a sweep, a run that failed, and a fit without `fitted.yaml`.
+    **Raises** `ConfigError` for a folder without a run, a sweep, a failed run, and a fit without `fitted.yaml`.
     """
     given = Path(path)
-    # A null character makes a path that no system accepts; reading it reports that.
+    # No system accepts a path with a null character. Reading it reports that.
     is_folder = "\0" not in str(given) and given.is_dir()
     folder = given if is_folder else given.parent
     if not is_folder and (given.name != CONFIG_FILE or not (folder / RESULT_FILE).is_file()):
@@ -63,30 +63,29 @@ def settings_file(path: str | os.PathLike[str], *, sweep: bool = False) -> Setti
     else:
         name, origin = _found(result, str(given))
     if not (folder / name).is_file():
-        mend = "run it again, since earlier versions did not write it" if name == FITTED_FILE else "run it again"
+        mend = "run it again, because earlier versions did not write it" if name == FITTED_FILE else "run it again"
         raise _mistake(str(given), f"holds an incomplete run: it has no {name}; expected that file; {mend}")
     return SettingsFile(folder / name, f"{origin}, {folder / name}")
 
 
 def with_fitted(config: Config, values: Mapping[str, float], source: str = "the fitted configuration") -> Config:
-    """`config` with these numbers, by their keys, as its values and as the start of its fit. It has the layout of the
-    fit.
+    """`config` with these numbers, by key, as its values and as the start of its fit. It has the layout of the fit.
 
     `source` is the name of the configuration in errors.
 
-    **Raises** `ConfigError` if a value is out of its limits.
+    **Raises** `ConfigError` if a value is out of range.
     """
     overrides = []
     for name, value in values.items():
         bounds = config.fit.parameters[name]
-        # Rounding may move it out of its bounds.
+        # Rounding may move the value out of its bounds.
         inside = min(max(float(f"{value:.{_DIGITS}g}"), bounds.lower), bounds.upper)
         overrides += [f"{name}={inside!r}", f"fit.parameters.{name}={{lower: {bounds.lower}, upper: {bounds.upper}}}"]
     return parse_config(dump_resolved(config.with_layout_of_fit()), overrides, source=source, fitting=True)
 
 
 def _found(result: Mapping[str, Any], path: str) -> tuple[str, str]:
-    """The name of the file with what a run found, and where its values come from."""
+    """The name of the file with a run's result, and the source of its values."""
     kind, metrics = result.get("kind"), result.get("metrics")
     if result.get("status") == "failed":
         raise _mistake(path, "holds a run that failed; expected a finished one; read the error in result.json")
@@ -94,7 +93,7 @@ def _found(result: Mapping[str, Any], path: str) -> tuple[str, str]:
         raise _mistake(path, "holds a sweep; expected a single run; give one of the folders in runs/")
     if kind == "advise":
         return RECOMMENDED_FILE, "the recommended technique"
-    # Runs of a sweep have no kind.
+    # The records of a sweep's runs have no kind.
     is_fit = kind == "fit" or (isinstance(metrics, Mapping) and any(key.startswith("fitted.") for key in metrics))
     if is_fit and any(name.startswith("scene.") for name in _names(result)):
         what = "holds a fit of lights or meshes, and no configuration in the folder has the fitted values"
@@ -103,7 +102,7 @@ def _found(result: Mapping[str, Any], path: str) -> tuple[str, str]:
 
 
 def _names(result: Mapping[str, Any]) -> list[str]:
-    """The names of what a run fitted."""
+    """The names of the numbers that a run fitted."""
     fitted, metrics = result.get("fitted"), result.get("metrics")
     if isinstance(fitted, Mapping):
         return list(fitted)

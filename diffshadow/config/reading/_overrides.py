@@ -13,15 +13,15 @@ from ._yaml import has_surrogate, read_yaml
 
 
 def apply_overrides(data: dict[str, Any], places: dict[KeyPath, Location], overrides: Sequence[str]) -> list[Mistake]:
-    """Writes `overrides`, each `key=value` with a dotted key and a YAML value, into `data`. Later ones win.
+    """Writes `overrides` into `data`. Each is `key=value` with a dotted key and a YAML value. Later overrides win.
 
-    Missing sections are created. Whether the keys exist in the schema is checked later.
+    Missing sections are created. A later step checks whether the keys exist in the schema.
 
     **Arguments:**
 
     - `data`, `places`: as returned by `read_yaml`; both are modified.
 
-    **Returns:** the mistakes of overrides that cannot be applied; all others are applied.
+    **Returns:** the mistakes of overrides that cannot be applied. All others are applied.
     """
     mistakes = []
     for override in overrides:
@@ -37,12 +37,12 @@ def _apply(data: dict[str, Any], places: dict[KeyPath, Location], override: str,
     key, equals, text = override.partition("=")
     words = key.strip().split(".")
     if not equals or not all(words):
-        raise ConfigError([Mistake(place, "", "is no KEY=VALUE; expected a dotted key; write filter.radius=2")])
+        raise ConfigError([Mistake(place, "", "is not KEY=VALUE; expected a dotted key; write filter.radius=2")])
     if has_surrogate(key):
         raise ConfigError([Mistake(place, key, "has an invalid character in its key; expected UTF-8 text; remove it")])
     value, inner, mistakes = read_yaml(text, lambda line, column: place)
     words = _with_whole_names(data, words, value)
-    # Walk to the section that holds the value, and create missing sections.
+    # Finds the section that contains the value, and creates missing sections.
     holder: Any = data
     path: KeyPath = ()
     for word in words[:-1]:
@@ -63,7 +63,7 @@ def _apply(data: dict[str, Any], places: dict[KeyPath, Location], override: str,
 
 
 def _with_whole_names(data: Any, words: list[str], value: Any) -> list[str]:
-    """`words`, with names of parameters and swept keys joined into one word, since they contain dots."""
+    """`words`, with names of parameters and swept keys joined into one word, because they contain dots."""
     match words:
         case ["fit", "parameters", _, *_]:
             start, keys = 2, FitParameterConfig.model_fields
@@ -88,7 +88,8 @@ def _with_whole_names(data: Any, words: list[str], value: Any) -> list[str]:
 
 
 def _length_of_name(words: Sequence[str], known: Callable[[str, Sequence[str]], bool], keys: Collection[str]) -> int:
-    """How many of `words` form a name: the longest known name; otherwise all, except a last one among `keys`."""
+    """The number of `words` that form a name: the longest known name, or otherwise all words except a last one among
+    `keys`."""
     for length in range(len(words), 0, -1):
         if known(".".join(words[:length]), words[length:]):
             return length

@@ -1,6 +1,7 @@
-"""Sections of users' classes: those whose `type` is `module:name`, such as `mypackage.filters:Gaussian`.
+"""Sections of users' classes. Their `type` is `module:name`, such as `mypackage.filters:Gaussian`.
 
-Their keys are the fields of the class, or its `settings` if it has some. Users' code is imported for nothing else.
+Their keys are the fields of the class, or of its `settings` if it has them. This is the only reason to import users'
+code.
 """
 
 import dataclasses
@@ -23,12 +24,12 @@ from ..sections._section import Variants, value_at
 from ..sections._technique import FILTERS, TECHNIQUES
 
 COLON = ":"
-"""What separates a module from a name in it."""
+"""The separator between a module and a name in it."""
 
 
 class _Kind(NamedTuple):
-    """What may be a user's: the variants of a section, the base of their settings, and the class in `shadow` that it
-    must inherit from; none for any callable."""
+    """A kind of class that may be a user's: the variants of its section, the base of their settings, and its base class
+    in `shadow`; `None` for any callable."""
 
     variants: Variants
     base: type[Settings]
@@ -51,10 +52,10 @@ def add_plugins(data: Mapping[str, Any], origin: Origin, folder: Path, *, needed
 
     **Arguments:**
 
-    - `folder`: folder of the configuration. Modules are imported from there, from the current folder and from wherever
-        Python finds them.
-    - `needed`: whether their modules are. The settings of a finished run can be read without the modules: the stored
-        keys and values then replace the fields of a class whose module is not found.
+    - `folder`: the folder of the configuration. Modules are imported from there, from the current folder and from
+      Python's path.
+    - `needed`: whether their modules must exist. The settings of a finished run can be read without the modules: the
+      stored keys and values then replace the fields of a missing class.
 
     **Returns** a mistake for each class that cannot be used.
     """
@@ -103,22 +104,22 @@ def _type_of(value: Any) -> Any:
 
 def _restored(path: tuple[str, ...], word: str, folder: Path, values: Mapping[str, Any]) -> Any:
     """A section of a user's class, in another process."""
-    # A worker may have a copy of the module, and see the module itself.
+    # A worker may have a copy of the module, and also see the module itself.
     _add(path, word, folder, is_checked=True)
     return _KINDS[path].variants.plugins[word].model_validate({"type": word, **values})
 
 
 def _imported(word: str, folder: Path, is_checked: bool) -> Any:
-    """What `module:name` names. **Raises** `ValueError` if there is no such thing.
+    """The object `module:name`. **Raises** `ValueError` if it does not exist.
 
-    `is_checked`: whether the module beside the configuration was found to be no other.
+    `is_checked`: whether the module in the folder of the configuration is known to be the same one.
     """
     module_name, _, name = word.partition(COLON)
     parts = module_name.split(".")
     if not all(part.isidentifier() for part in (*parts, name)):
         raise ValueError(f"is {word}; expected a module and a name in it; write it as mypackage.mymodule:Gaussian")
     for place in (str(folder.absolute()), str(Path.cwd())):
-        # Last, so that a user's file replaces no installed module.
+        # Last in the path, so that a user's file does not replace an installed module.
         if place not in sys.path:
             sys.path.append(place)
     if not is_checked:
@@ -144,43 +145,43 @@ def _imported(word: str, folder: Path, is_checked: bool) -> Any:
 
 def _failed(module: str, error: Exception) -> str:
     return (
-        f"names the module {module}, which cannot be imported ({type(error).__name__}: {error}); expected one that "
-        "can; "
-        f"try python -c 'import {module}'"
+        f"names the module {module}, which cannot be imported ({type(error).__name__}: {error}); expected a working "
+        f"import; try python -c 'import {module}'"
     )
 
 
 def _check_not_another(package: str, folder: Path) -> None:
-    """**Raises** `ValueError` if a module of this name was imported, and a configuration's `folder` has another."""
+    """**Raises** `ValueError` if the imported module of this name differs from the one in a configuration's
+    `folder`."""
     own = importlib.machinery.PathFinder.find_spec(package, [str(folder.absolute())])
     loaded = getattr(sys.modules.get(package), "__file__", None)
     if own is not None and own.origin and loaded and Path(own.origin).resolve() != Path(loaded).resolve():
         raise ValueError(
             f"names the module {package} beside the configuration, and another {loaded} is imported by that name; "
-            "expected one module of a name; rename the file"
+            "expected a unique module name; rename the file"
         )
 
 
 def _check_kind(word: str, plugin: Any, kind: _Kind) -> None:
     if kind.parent is None:
         if not callable(plugin):
-            raise ValueError(f"is {word}, which is no function; expected a function or class; name another")
+            raise ValueError(f"is {word}, which is not a function; expected a function or class; name another")
         if inspect.isclass(plugin) and not hasattr(plugin, "__call__"):  # noqa: B004
-            raise ValueError(f"is {word}, whose objects are no functions; expected __call__; add it to the class")
+            raise ValueError(f"is {word}, whose objects are not callable; expected __call__; add it to the class")
         return
-    # Here, since JAX takes long to load, and nothing else in this folder needs it.
+    # Imported here, because JAX is slow to load and nothing else in this folder needs it.
     from ... import shadow
 
     parent = getattr(shadow, kind.parent)
     if not (inspect.isclass(plugin) and issubclass(plugin, parent)):
-        raise ValueError(f"is {word}, which is no shadow.{kind.parent}; expected a class that inherits from it")
+        raise ValueError(f"is {word}, which is not a shadow.{kind.parent}; expected a class that inherits from it")
     if inspect.isabstract(plugin):
         missing = ", ".join(sorted(getattr(plugin, "__abstractmethods__")))  # noqa: B009
         raise ValueError(f"is {word}, which lacks {missing}; expected a class with all methods; add them")
 
 
 def _settings_of(path: tuple[str, ...], word: str, plugin: Any, folder: Path) -> type[Settings]:
-    """A class of settings for a user's class: a subclass of its own settings, or made of its fields."""
+    """A class of settings for a user's class: a subclass of its own settings, or a class made from its fields."""
     base, own = _KINDS[path].base, getattr(plugin, "settings", Settings)
     is_described = inspect.isclass(own) and issubclass(own, Settings) and own is not Settings
     settings = (own,) if is_described and issubclass(own, base) else (own, base) if is_described else (base,)
@@ -207,11 +208,11 @@ def _settings_of(path: tuple[str, ...], word: str, plugin: Any, folder: Path) ->
 
 
 def _reach_of(keys: tuple[str, ...], settings: Any, values: Any) -> Any:
-    """How far a user's filter with these `values` reads the map, in texels, as it says itself; 0 if it does not."""
+    """The reach of a user's filter with these `values`, in texels, as the filter reports it; 0 if it does not."""
     try:
         reach = settings.plugin(**{key: getattr(values, key) for key in keys}).reach
     except Exception:
-        # What cannot be made is reported where it is built.
+        # If it cannot be made, the build reports this.
         return 0.0
     return 0.0 if reach is None else reach
 
@@ -230,8 +231,8 @@ def _keys(word: str, plugin: Any) -> Iterator[tuple[str, tuple[Any, Any]]]:
             yield field.name, (hint, _plain(default))
         elif default is MISSING:
             raise ValueError(
-                f"is {word}, whose field {field.name} is no number, text or choice, and has no default; expected one "
-                "that YAML can set; give it a default"
+                f"is {word}, whose field {field.name} is not a number, text or choice, and has no default; expected "
+                "a field that YAML can set; give it a default"
             )
 
 
@@ -253,7 +254,7 @@ def _plain(value: Any) -> Any:
 
 
 def _in_yaml(annotation: Any, static: bool) -> Any:
-    """The type of a field as a section has it; none if YAML has none. Numbers that may be traced can be fitted."""
+    """The type of a field in a section; `None` if YAML has no such type. Numbers that may be traced can be fitted."""
     kind, marks = bare(annotation)
     if getattr(kind, "dim_str", None) == "" or kind is float:
         fitted = () if static or any(isinstance(mark, Fitted) for mark in marks) else (Fitted(needs_value=True),)
@@ -266,7 +267,7 @@ def _in_yaml(annotation: Any, static: bool) -> Any:
             return None
         found = Annotated[(tuple[tuple(entries)], *marks)] if marks else tuple[tuple(entries)]
     elif is_union(kind):
-        # A number that may be a Python one or an array.
+        # A number that may be a Python number or an array.
         found = next((each for each in (_in_yaml(one, static) for one in get_args(kind)) if each is not None), None)
     else:
         return None

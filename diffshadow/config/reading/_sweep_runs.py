@@ -29,16 +29,17 @@ from ._files import files_in
 from ._load import checked
 from ._mistakes import mistakes_of
 
-# Part of every id. Increase it when the same configuration gives different numbers.
+# A part of every id. Increase it when the same configuration gives different numbers.
 _FORMAT = 1
 _ID_BYTES = 8
 # Each run takes a millisecond to check, a folder, and a few hundred bytes of memory.
 _MAX_RUNS = 1 << 20
-# The runs of larger sweeps are kept pickled, in some kilobytes each. Reading one takes a fifth of making it.
+# The runs of larger sweeps are stored pickled, in some kilobytes each. Reading a run takes a fifth of the time of
+# making it.
 _MAX_KEPT = 4096
-# The runs of still larger sweeps are not kept in memory, but made again when they are needed.
+# The runs of even larger sweeps are not stored in memory, but made again on demand.
 _MAX_PICKLED = 1 << 14
-# How many distinct faults are collected before checking stops.
+# The number of distinct faults after which checking stops.
 _MAX_FAULTS = 100
 
 CheckProgress = Callable[[int, int], None]
@@ -48,8 +49,8 @@ CheckProgress = Callable[[int, int], None]
 class SweepRun(NamedTuple):
     """One run of a sweep.
 
-    - `id`: 16 hexadecimal digits, a hash of everything that the run's results depend on, including the content of mesh
-        files. The order of the runs, names and folders have no effect on the identifier.
+    - `id`: 16 hexadecimal digits, a hash of all inputs of the run's results, including the content of mesh files. The
+      order of the runs, names and folders do not affect it.
     - `values`: the run's value on each axis.
     - `config`: its configuration, without the sweep.
     - `frames`: the configurations along the path of `sweep.flicker`; empty without that section.
@@ -64,13 +65,13 @@ class SweepRun(NamedTuple):
 class SweepRuns(Sequence[SweepRun]):
     """The runs of a sweep, in the order of its axes. The last axis varies fastest.
 
-    Runs are made when they are needed, since a million of them would fill the memory. Only the runs of small sweeps are
-    kept. Making a run **raises** `ConfigError` if its configuration is invalid; `check` tries all of them.
+    Runs are made on demand, because a million of them would fill the memory. Only the runs of small sweeps are stored.
+    Making a run **raises** `ConfigError` if its configuration is invalid; `check` tries all of them.
     """
 
     def __init__(self, settings: SweepConfig, draft: Draft):
         self._settings, self._origin = settings, draft.origin
-        # Each run copies the places of keys, without the section sweep, which may have thousands.
+        # Each run copies the places of keys, except those of the section sweep, which may have thousands.
         places = {path: place for path, place in draft.origin.places.items() if path[:1] != ("sweep",)}
         data = {key: value for key, value in draft.data.items() if key != "sweep"}
         self._base = draft._replace(data=data, origin=Origin(draft.origin.source, places))
@@ -131,8 +132,7 @@ class SweepRuns(Sequence[SweepRun]):
     def check(self, progress: CheckProgress | None = None) -> None:
         """Makes every run once, and computes its identifier.
 
-        **Raises** `ConfigError` with everything that is wrong with any of the runs. Checking stops after a hundred
-        distinct faults.
+        **Raises** `ConfigError` with the mistakes of all runs. Checking stops after a hundred distinct faults.
         """
         if self._ids is not None:
             return
@@ -159,7 +159,7 @@ class SweepRuns(Sequence[SweepRun]):
             if len(faults) >= _MAX_FAULTS:
                 break
         if faults:
-            # A fault of every run does not depend on the values.
+            # A fault of all runs does not depend on the values.
             raise ConfigError(
                 mistake if count == checked else _with_values(mistake, self._values(first))
                 for mistake, (first, count) in faults.items()
@@ -181,7 +181,7 @@ class SweepRuns(Sequence[SweepRun]):
         """The indices and drafts of the runs at `indices`."""
 
         def walk(depth: int, first: int, draft: Draft, low: int, high: int) -> Iterator[tuple[int, Draft]]:
-            """The drafts at `indices[low:high]`. `draft` holds the choices above `depth`; its first run is `first`."""
+            """The drafts at `indices[low:high]`. `draft` has the choices above `depth`; its first run is `first`."""
             if depth == len(self._levels):
                 yield first, draft
                 return
@@ -197,7 +197,7 @@ class SweepRuns(Sequence[SweepRun]):
         config = checked(draft, fitting=self._settings.run == "fit")
         _check_limit(config, self._settings, self._origin)
         frames = tuple(checked(written(draft, step, self._origin)) for step in self._steps)
-        # The checks are done, so do not send the places of keys to the workers.
+        # The checks are done, so the workers do not need the places of keys.
         for each in (config, *frames):
             each._origin = Origin(self._origin.source)
         id = _id_of(config, self._settings) if self._ids is None else self.id(index)
@@ -238,7 +238,7 @@ def load_sweep(
 
     **Returns:** the sweep. Equal files give equal runs in the same order.
 
-    **Raises** `ConfigError` with everything that is wrong with the file, the overrides or any of the runs.
+    **Raises** `ConfigError` with all mistakes in the file, the overrides and the runs.
     """
     draft = load_draft(path, overrides)
     try:
@@ -248,7 +248,7 @@ def load_sweep(
     runs = SweepRuns(settings, draft)
     if len(runs) > _MAX_RUNS:
         message = (
-            f"makes {len(runs):,} runs; expected at most {_MAX_RUNS:,}, since each is checked and gets a folder; "
+            f"makes {len(runs):,} runs; expected at most {_MAX_RUNS:,}, because each is checked and gets a folder; "
             "shorten its lists, or split it into several sweeps"
         )
         raise ConfigError([Mistake(draft.origin.place(("sweep",)), "sweep", message)])
@@ -260,7 +260,7 @@ def load_sweep(
 def _settings_of(draft: Draft) -> SweepConfig:
     """The section `sweep` of `draft`. The other sections are checked with each run's values filled in."""
     if draft.data.get("sweep") is None:
-        message = "is missing; expected a section of what to vary; add it, or use diffshadow render or fit"
+        message = "is missing; expected a section with the values to vary; add it, or use diffshadow render or fit"
         raise ConfigError([*draft.mistakes, Mistake(draft.origin.place(()), "sweep", message)])
     try:
         Config.model_validate(draft.data)
@@ -272,7 +272,7 @@ def _settings_of(draft: Draft) -> SweepConfig:
 
 
 def _faults_beside_plot(draft: Draft, error: ConfigError) -> Sequence[Mistake]:
-    """What is wrong with the runs of a sweep whose only fault is its plot."""
+    """The faults of a sweep's runs, for a sweep whose own section has only faults of its plot."""
     if not all(mistake.key.startswith("sweep.plot") for mistake in error.mistakes):
         return ()
     settings = {key: value for key, value in draft.data["sweep"].items() if key != "plot"}
@@ -312,7 +312,7 @@ def _with_values(mistake: Mistake, values: Mapping[str, Any]) -> Mistake:
 def _id_of(config: Config, settings: SweepConfig) -> str:
     data = config.model_dump(mode="json", warnings=False, exclude={"name", "output", "sweep", "advise"})
     for mesh in data["scene"]["meshes"]:
-        # Without one, as before there were textures.
+        # Absent, as before there were textures.
         for key in TEXTURE_KEYS:
             if mesh[key] is None:
                 del mesh[key]

@@ -1,4 +1,4 @@
-"""Configurations that come with the package, and those that are made of a mesh file."""
+"""Configurations of the package, and configurations for a mesh file."""
 
 import os
 import re
@@ -14,16 +14,16 @@ from ._dump import dump
 from ._yaml import read_yaml
 
 DEFAULT_TEMPLATE = "quickstart"
-"""The template that is taken if none is named."""
+"""The default template."""
 # Numbers of engines' techniques in world units, which depend on the size of the scene.
 _LENGTHS = re.compile(r"^ *(?:technique\.)?normal_bias:.*$", re.MULTILINE)
 _NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?")
-# Longest side of the meshes of these templates, world units.
+# The longest side of the meshes of these templates, in world units.
 _SIDE_OF_TEMPLATES = 2.0
 
 
 def folder_of_templates() -> Path:
-    """The folder of the templates: in the package where it was installed from a wheel, and beside it in a clone."""
+    """The folder of the templates: inside the package if it was installed from a wheel, and next to it in a clone."""
     package = Path(str(resources.files(__name__.partition(".")[0])))
     installed = package / "configs"
     return installed if installed.is_dir() else package.parent / "configs"
@@ -59,14 +59,14 @@ def template_text(name: str, *, source: str, file: str, scene: dict[str, Any] | 
 
     **Arguments:**
 
-    - `source`: names the template in errors.
-    - `scene`: a section that replaces the template's `scene`; the scene's longest `side` is in world units.
+    - `source`: the name of the template in errors.
+    - `scene`: a section that replaces the template's `scene`. The scene's longest `side` is in world units.
 
-    **Raises** `ConfigError` if there is no such template, or it lists its meshes outside of its section `scene`.
+    **Raises** `ConfigError` if there is no such template, or if its meshes are listed outside of its section `scene`.
     """
     text = template_path(name, source).read_text(encoding="utf-8")
     text = text.replace(f"configs/{name}.yaml", file)
-    # Its experiment is in the repository only.
+    # The experiment of the template is only in the repository.
     text = re.sub(r"^#   python experiments/.*\n", "", text, flags=re.MULTILINE)
     if scene is None:
         return text
@@ -80,7 +80,7 @@ def template_text(name: str, *, source: str, file: str, scene: dict[str, Any] | 
     made = dump({"scene": _in_place_of(data["scene"], scene)})
     text = re.sub(r"^scene:\n(?:[ #].*\n|\n(?=[ #]))*", lambda _: made, text, count=1, flags=re.MULTILINE)
     text = re.sub(r"^name: .*$", f"name: {Path(file).stem}", text, count=1, flags=re.MULTILINE)
-    # The first lines tell of the template's own scene.
+    # The first lines describe the template's own scene.
     said = f"# Made from the template {name} for your own mesh.\n#   diffshadow fit {file}\n"
     text = re.sub(r"\A(?:#.*\n)+", lambda _: said, text)
     factor = float(f"{side / _SIDE_OF_TEMPLATES:.2g}")
@@ -93,20 +93,20 @@ def template_text(name: str, *, source: str, file: str, scene: dict[str, Any] | 
 
 
 def template_of_mesh(file: Path) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """The default template's data with a mesh file in place of its scene, and notes on the mesh.
+    """The default template's data for a mesh file, and notes on the mesh.
 
     **Raises** `ConfigError` if the file cannot be read.
     """
     made = scene_of_mesh(file)
     text = template_path(DEFAULT_TEMPLATE, str(file)).read_text(encoding="utf-8")
     data = read_yaml(text, lambda line, column: Location(str(file))).data
-    # Engines have no slope-scaled bias, so that a fit without it converts to all of them.
+    # Engines have no slope-scaled bias, so a fit without it converts to all of them.
     changed = {"name": file.stem.strip() or "mesh", "bias": {**data.get("bias", {}), "slope": 0}}
     return {**data, **changed, "scene": _in_place_of(data["scene"], made.scene)}, made.notes
 
 
 def _in_place_of(old: Mapping[str, Any], scene: Mapping[str, Any]) -> dict[str, Any]:
-    """The section `scene` with the size of the images of the `old` one."""
+    """The section `scene` with the image size of the `old` one."""
     resolution = (old.get("camera") or {}).get("resolution", [512, 512])
     return {**scene, "camera": {"resolution": resolution, **scene.get("camera", {})}}
 
@@ -124,7 +124,7 @@ def write_template(name: str, mesh: Path | None = None, output: Path | None = No
     **Raises** `ConfigError` if there is no such template or mesh, or the file exists already or cannot be written.
     """
     name = name.removeprefix(BUILTIN)
-    # A run is named like its file: the mesh alone and each template have runs of their own.
+    # A run has the name of its file. The mesh alone and each template have separate runs.
     stem = name if mesh is None else mesh.stem if name == DEFAULT_TEMPLATE else f"{mesh.stem}_{name}"
     file = Path(f"{stem}.yaml") if output is None else output
     notes: tuple[str, ...] = ()
@@ -137,7 +137,7 @@ def write_template(name: str, mesh: Path | None = None, output: Path | None = No
         text, notes = template_text(name, source=name, file=str(file), scene=made.scene, side=made.side), made.notes
     if file.exists():
         mend = "remove it, or give another with --output"
-        raise _mistake(file, f"exists already; expected no such file, since it may have been edited; {mend}")
+        raise _mistake(file, f"exists already; expected a new file, because it may have been edited; {mend}")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(text, encoding="utf-8")
@@ -161,7 +161,7 @@ class MeshScene(NamedTuple):
 
 
 def is_mesh(file: Path) -> bool:
-    """Whether `file` is named like a mesh."""
+    """Whether the name of `file` is that of a mesh."""
     suffix = file.suffix.lower()
     if suffix in MESH_SUFFIXES:
         return True
@@ -173,11 +173,11 @@ def is_mesh(file: Path) -> bool:
 
 
 def scene_of_mesh(file: Path) -> MeshScene:
-    """The scene of a mesh file, which is turned if its `z` is up. Camera, light and ground are left to be found.
+    """The scene of a mesh file, rotated if its `z` is up. Camera, light and ground are set to auto.
 
     **Raises** `ConfigError` if the file cannot be read.
     """
-    # They load JAX.
+    # These imports load JAX.
     from ... import geometry, io
     from ..framing._find import corners_of
     from ..sections._scene import MeshConfig
@@ -193,16 +193,14 @@ def scene_of_mesh(file: Path) -> MeshScene:
     mesh: dict[str, Any] = {"path": path}
     if geometry.up_of(corners, is_gltf) == "z":
         mesh["rotate"] = [-90.0, 0.0, 0.0]
-        notes.append(
-            "z is taken as up, since the mesh lies flat across z; if y is, set scene.meshes.0.rotate=[0, 0, 0]"
-        )
+        notes.append("z is up, because the mesh is flat across z; if y is, set scene.meshes.0.rotate=[0, 0, 0]")
     elif is_gltf and geometry.stands_on_z(corners):
         notes.append(
-            "y is taken as up, as glTF says, and the mesh has a flat foot across z; if z is up, set "
+            "y is up, as in glTF, and the mesh has a flat foot across z; if z is up, set "
             "'scene.meshes.0.rotate=[-90, 0, 0]'"
         )
     if is_gltf and (left_out := _left_out(file)):
-        notes.append(f"the file's {left_out} are not taken; to take them: diffshadow import {file}")
+        notes.append(f"the file's {left_out} are not used; to use them: diffshadow import {file}")
     side = float((corners.max(axis=(0, 1)) - corners.min(axis=(0, 1))).max())
     return MeshScene({"meshes": [mesh], "ground": "auto", "light": "auto"}, side, tuple(notes))
 

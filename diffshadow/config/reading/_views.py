@@ -16,9 +16,9 @@ from ._axes import Choice, levels_of, written
 from ._draft import Draft
 
 KINDS = ("views", "validation")
-"""The sections of a fit that hold views."""
+"""The sections of a fit that have views."""
 _MAX_VIEWS = 4096
-# What tells views apart.
+# The keys that distinguish views.
 _COMPARED = {"scene", "reference", "shadow_map"}
 
 Views = tuple[FitView, ...]
@@ -30,10 +30,10 @@ def views_of(config: Config, draft: Draft, check: Callable[[Draft], Config]) -> 
     **Arguments:**
 
     - `draft`: the draft of `config`.
-    - `check`: makes a configuration of a draft.
+    - `check`: makes a configuration from a draft.
 
-    **Raises** `ConfigError` with everything that is wrong with any of the views, if there are too many, or if a view is
-    in both groups.
+    **Raises** `ConfigError` with the mistakes of all views, if there are too many views, or if a view is in both
+    groups.
     """
     fit, places = dict(draft.data.get("fit") or {}), draft.origin.places
     for kind in KINDS:
@@ -72,7 +72,7 @@ def _views(
             views.append(FitView(name, check(changed)))
         except ConfigError as error:
             named = [replace(each, message=f"{each.message} (in the view {name})") for each in error.mistakes]
-            # A fault of all views is said once, for the first.
+            # A fault of all views is reported once, for the first view.
             mistakes |= {
                 (each.key, each.message): full
                 for each, full in zip(error.mistakes, named, strict=True)
@@ -88,13 +88,13 @@ def _views(
     pixels = sum(math.prod(view.config.scene.camera.resolution) for view in views)
     if pixels > MAX_PIXELS:
         message = f"has {pixels:,} pixels in {count:,} views; expected at most {MAX_PIXELS:,}, which take 5 GB"
-        mend = "lower scene.camera.resolution, or take fewer views"
+        mend = "lower scene.camera.resolution, or use fewer views"
         raise ConfigError([Mistake(place, key, f"{message}; {mend}")])
     return tuple(views)
 
 
 def _names(rows: Sequence[Sequence[Choice]]) -> list[str]:
-    """A short name for each combination of choices; if short names are not unique, with whole keys."""
+    """A short name for each combination of choices, or the whole keys if short names are not unique."""
     for short in (True, False):
         names = [", ".join(_name(choice, short) for choice in row) for row in rows]
         if len(set(names)) == len(names):
@@ -103,7 +103,7 @@ def _names(rows: Sequence[Sequence[Choice]]) -> list[str]:
 
 
 def _name(choice: Choice, short: bool) -> str:
-    """What tells a choice from others, on one line."""
+    """The text that distinguishes a choice from others, on one line."""
     if choice.label is not None:
         return choice.label
 

@@ -1,6 +1,6 @@
-"""Reads YAML 1.2's core schema, and records where every key was written.
+"""Reads YAML 1.2's core schema, and records the place of every key.
 
-PyYAML's loaders follow YAML 1.1, which reads `1e-3` as text and `on` as true, and silently keep the last of two equal
+PyYAML's loaders follow YAML 1.1, which reads `1e-3` as text and `on` as true. They silently use the last of two equal
 keys. This reader makes plain data from PyYAML's nodes instead.
 """
 
@@ -23,7 +23,7 @@ _INFINITY = re.compile(r"[-+]?\.(inf|Inf|INF)")
 _NAN = re.compile(r"\.(nan|NaN|NAN)")
 
 _KNOWN_TAGS = {f"tag:yaml.org,2002:{name}" for name in ("str", "seq", "map")}
-# Aliases of aliases can grow exponentially. No real configuration comes near this limit.
+# Aliases of aliases can grow exponentially. Real configurations stay far below this limit.
 _MAX_VALUES = 10_000
 _LONGEST_INTEGER = 40
 
@@ -97,7 +97,7 @@ class _Reader:
         self.count = 0
 
     def value(self, node: yaml.Node, path: KeyPath, within: tuple[int, ...]) -> Any:
-        """The data of `node`, at `path`. `within` holds the ids of the enclosing nodes."""
+        """The data of `node`, at `path`. `within` has the ids of the enclosing nodes."""
         self.places.setdefault(path, self.place(node))
         self.count += 1
         if id(node) in within:
@@ -156,7 +156,7 @@ class _Reader:
 
 
 def has_surrogate(text: str) -> bool:
-    """Whether `text` holds a lone surrogate, such as a byte of the command line that is not UTF-8."""
+    """Whether `text` has a lone surrogate, such as a byte of the command line that is not UTF-8."""
     return any("\ud800" <= c <= "\udfff" for c in text)
 
 

@@ -1,1 +1,1 @@
-"""Sections of a configuration: their keys, and which of their numbers can be fitted."""
+"""Sections of a configuration: their keys, and the numbers among them that can be fitted."""

@@ -13,13 +13,13 @@ from ._fitted import is_pose
 from ._section import Conflict, Section, fault
 
 PARAMETERS = "parameters"
-"""The key in an entry that holds the numbers to fit; all others but the label are set."""
+"""The key of an entry with the numbers to fit. All other keys except the label are set."""
 LISTS = ("biases", "filters")
 """The keys of the lists; every combination of their entries is a technique."""
 _OF_A_TECHNIQUE = ("technique", "shadow_map", "bias", "compare", "filter", "fit.anneal", "fit.solver")
 _SIZE = "shadow_map.resolution"
 
-# Where fits start, in texels: `rules.STARTS` are for this radius.
+# The start of fits, in texels. `rules.STARTS` are for this radius.
 _RADIUS = 2.0
 
 Entries = Annotated[tuple[dict[str, Any], ...], Form("a list of sections of dotted keys")]
@@ -27,7 +27,7 @@ _Sizes = Annotated[tuple[Size, ...], Form("a list of [height, width]"), Unit("te
 
 
 def _bias(label: str, starts: rules.Numbers, *fitted: str, plane: str = "none") -> dict[str, Any]:
-    # Together with a disk of 16 texels, the offset stays within the faces of a point light's map of 512 texels.
+    # With a disk of 16 texels, the offset stays within the faces of a point light's map of 512 texels.
     most = {"constant": 30.0, "slope": 10.0, "normal_offset": 6.0}
     return {
         LABEL: label,
@@ -63,7 +63,7 @@ class AdviseConfig(Section):
 
     biases: Entries = Field(
         default_factory=_biases,
-        description="sections of dotted keys; label names one, and parameters holds what to fit, as in fit.parameters",
+        description="sections of dotted keys; label is a name, and parameters the numbers to fit, as in fit.parameters",
     )
     filters: Entries = Field(default_factory=_filters, description="the same for filters")
     resolutions: _Sizes | None = Field(
@@ -73,7 +73,7 @@ class AdviseConfig(Section):
     within: Annotated[
         float,
         Limits(0, 1),
-        "the cheapest technique is recommended among those whose RMSE is at most this fraction above the least",
+        "the cheapest technique with an RMSE of at most this fraction above the lowest is recommended",
     ] = 0.03
 
     def faults(self) -> Iterator[Conflict]:
@@ -88,7 +88,7 @@ class AdviseConfig(Section):
                 yield ("resolutions", i), what
 
     def _set_by_both(self) -> Iterator[Conflict]:
-        """Faults of keys that an entry of each list sets, so that one of them would be lost."""
+        """Faults of keys that an entry of each list sets. One of the two values would be lost."""
         biases, filters = (
             [((name, i, *path), key) for i, entry in enumerate(getattr(self, name)) for path, key in _all_set(entry)]
             for name in LISTS
@@ -128,7 +128,7 @@ def _bad_entries(name: str, entries: Sequence[Mapping[str, Any]]) -> Iterator[Co
             yield (name, i, PARAMETERS), fault(f"is {show(parameters)}", "a section of bounds by key", mend)
             continue
         for key in filter(is_pose, parameters):
-            what = fault("moves the scene", "numbers of a technique, since all have the same truth", "remove it")
+            what = fault("moves the scene", "numbers of a technique, because all have the same truth", "remove it")
             yield (name, i, PARAMETERS, key), what
 
 

@@ -12,7 +12,7 @@ from .._errors import KeyPath, dotted, show
 from ._section import Conflict, Section, fault, is_number
 
 LABEL = "label"
-"""The key in an entry of `list` that names the entry; all others are set."""
+"""The key of an entry of `list` that names the entry. All other keys are set."""
 
 Values = Annotated[tuple[Any, ...], Form("a list of values")]
 _Hour = Annotated[float, Field(ge=0, le=24), Unit("hours")]
@@ -50,10 +50,12 @@ class QuasiRandomConfig(Section):
 
 
 class PathConfig(Section):
-    """Points evenly spaced in time along paths, which lead from value to value in straight lines."""
+    """Points evenly spaced in time along paths, with straight lines between the values."""
 
     count: Annotated[int, Unit("points"), Limits(2, 65536), "number of points, both ends included"]
-    through: Annotated[dict[str, Values], "values to pass in turn, numbers or lists of them, by dotted key"]
+    through: Annotated[
+        dict[str, Values], "values along the path, in order: numbers, or lists of numbers, by dotted key"
+    ]
 
     def faults(self) -> Iterator[Conflict]:
         if not self.through:
@@ -62,7 +64,7 @@ class PathConfig(Section):
             rows = [value if isinstance(value, list | tuple) else [value] for value in values]
             is_even = len(rows) > 1 and len({len(row) for row in rows}) == 1
             if not (is_even and all(is_number(x) for row in rows for x in row)):
-                expected = "two or more numbers, or lists of as many numbers each"
+                expected = "two or more numbers, or lists of equal length"
                 yield ("through", key), fault(f"is {show(values)}", expected, "write a list such as [0, 90, 180]")
 
 
@@ -74,7 +76,7 @@ class SunConfig(Section):
     day: Annotated[int, Limits(1, 366), "day of the year; 172 is the northern summer's solstice"] = 172
     first: Annotated[_Hour, "first hour, in solar time"] = 8.0
     last: Annotated[_Hour, "last hour, in solar time"] = 16.0
-    turn: Annotated[Turn, "what is added to the azimuth, in degrees"] = 0.0
+    turn: Annotated[Turn, "offset of the azimuth, in degrees"] = 0.0
     ascending = (("first", "last"),)
 
 
@@ -82,7 +84,7 @@ class AxesConfig(Section):
     """Every combination of an entry of `list`, a value of each key of `grid`, a file of each key of `files`, a row of
     `zip`, a point of `path`, an hour of `sun` and a point of `qmc`. The axes are nested in this order."""
 
-    # Where such a section stands.
+    # The paths of such sections.
     at: ClassVar[str] = "sweep"
 
     list: Annotated[
@@ -100,12 +102,12 @@ class AxesConfig(Section):
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """The keys, once each, from slowest to fastest."""
+        """The distinct keys, from slowest to fastest."""
         labels = [LABEL] if any(LABEL in entry for entry in self.list or ()) else []
         return tuple(dict.fromkeys([*labels, *(key for _, key in self.assigned())]))
 
     def assigned(self) -> Iterator[tuple[KeyPath, str]]:
-        """Every key that is set, with its path in the section, in the order in which keys are set."""
+        """Every key that is set, with its path in the section, in the order of setting."""
         for i, entry in enumerate(self.list or ()):
             yield from ((("list", i, key), key) for key in entry if key != LABEL)
         through, ranges = self.path and self.path.through, self.qmc and self.qmc.axes
@@ -121,11 +123,11 @@ class AxesConfig(Section):
         yield from self._bad_labels()
 
     def _set_twice(self) -> Iterator[Conflict]:
-        """Faults of keys that would overwrite what an earlier key sets."""
+        """Faults of keys that would overwrite the value of an earlier key."""
         assigned = [*self.assigned()]
         for i, (path, key) in enumerate(assigned):
             for earlier, other in assigned[:i]:
-                # A run uses only one entry of the list, and seeds together with repeats are reported by themselves.
+                # A run uses only one entry of the list. Seeds together with repeats are reported separately.
                 apart = path[0] == earlier[0] == "list" and path[1] != earlier[1]
                 if not apart and path[0] != "seeds" and (other == key or other.startswith(f"{key}.")):
                     message = f"sets {key}, and {dotted((self.at, *earlier))} sets {other}"
@@ -188,6 +190,6 @@ class ViewsConfig(AxesConfig):
 
 
 class ValidationConfig(ViewsConfig):
-    """Views that the fit does not see, on which its result is measured."""
+    """Views that the fit does not use. Its result is measured on them."""
 
     at: ClassVar[str] = "fit.validation"

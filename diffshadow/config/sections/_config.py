@@ -1,4 +1,4 @@
-"""The whole configuration of a run: all sections, and what follows from several of them."""
+"""The whole configuration of a run: all sections, and values that depend on several sections."""
 
 import os
 from collections.abc import Iterator, Mapping
@@ -32,7 +32,7 @@ from ._technique import (
 def path_of(text: str) -> Path:
     """The path `text`, with a leading `~` expanded to the current user's home folder.
 
-    **Raises** `PydanticCustomError`, a `ValueError`, if `text` names another user's home folder or holds U+0000.
+    **Raises** `PydanticCustomError`, a `ValueError`, if `text` names another user's home folder or contains U+0000.
     """
     if "\0" in text:
         raise fault(f"is {show(text)}, which holds the character U+0000", "a path", "remove it")
@@ -50,7 +50,8 @@ def path_of(text: str) -> Path:
     return Path(text)
 
 
-# File systems allow names of up to 255 bytes. A run's draft folder has up to 25 more than its name.
+# File systems allow names of up to 255 bytes. The name of a run's draft folder is up to 25 bytes longer than the run's
+# name.
 _LONGEST_NAME = 200
 
 
@@ -59,7 +60,7 @@ def _file_name(name: str) -> str:
         raise fault(f"is {show(name)}", "text that can name a folder", "use letters, digits, '-' and '_'")
     size = len(name.encode())
     if size > _LONGEST_NAME:
-        expected = f"at most {_LONGEST_NAME}, since file systems allow 255 and a run adds to the name"
+        expected = f"at most {_LONGEST_NAME}, because file systems allow 255 and a run adds to the name"
         raise fault(f"has {size} bytes", expected, "shorten it")
     return name
 
@@ -72,10 +73,10 @@ def _folder(output: str) -> str:
 
 
 class FitView(NamedTuple):
-    """A scene that is fitted, or that validates a fit.
+    """A scene of a fit or of its validation.
 
     - `name`: its unique name.
-    - `config`: the configuration of a run of its own.
+    - `config`: its configuration, as for a separate run.
     """
 
     name: str
@@ -83,9 +84,9 @@ class FitView(NamedTuple):
 
 
 class Reach(NamedTuple):
-    """How far from a receiver the filter reads, in `texels`, with the normal offset.
+    """The distance from a receiver to the farthest texel that the filter reads, in `texels`, with the normal offset.
 
-    - `path`: path of the key that contributes most; `is_of_fit`: whether that is a bound of a fitted number.
+    - `path`: path of the key with the largest contribution; `is_of_fit`: whether it is a bound of a fitted number.
     """
 
     texels: float
@@ -99,7 +100,7 @@ class Config(Section):
     name: Annotated[str, AfterValidator(_file_name)] = Field(
         default="unnamed", description="name of the run's folder; default: the file's name without its suffix"
     )
-    seed: int = Field(default=0, ge=0, lt=2**32, description="seed of everything random")
+    seed: int = Field(default=0, ge=0, lt=2**32, description="seed of all random numbers")
     scene: SceneConfig = Field(description="meshes, camera and lights")
     technique: TechniqueConfig = Field(default_factory=TECHNIQUES.make, description="how shadows are drawn")
     shadow_map: ShadowMapConfig = Field(default_factory=ShadowMapConfig, description="the map drawn from the light")
@@ -109,7 +110,9 @@ class Config(Section):
     shading: ShadingConfig = Field(default_factory=SHADINGS.make, description="how images are shaded")
     reference: ReferenceConfig = Field(default_factory=REFERENCES.make, description="visibility to fit to")
     fit: FitConfig = Field(default_factory=FitConfig, description="parameters and settings of the fit")
-    sweep: SweepConfig | None = Field(default=None, description="what changes from run to run; default: a single run")
+    sweep: SweepConfig | None = Field(
+        default=None, description="the values that change between runs; default: a single run"
+    )
     advise: AdviseConfig | None = Field(
         default=None, description="techniques that diffshadow advise compares; default: biases and filters of all kinds"
     )
@@ -123,13 +126,13 @@ class Config(Section):
 
     @property
     def origin(self) -> Origin:
-        """Where the keys were written, for errors found after loading."""
+        """The places of the keys, for errors found after loading."""
         return self._origin
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the program chose for parts of the scene that the configuration leaves out: a sentence without a full
-        stop for each part."""
+        """The program's choices for parts of the scene that the configuration leaves out, as sentences without a full
+        stop."""
         return self._origin.notes
 
     @property
@@ -150,8 +153,8 @@ class Config(Section):
 
     @property
     def moves(self) -> bool:
-        """Whether the fit draws maps again at every step: it changes lights or meshes, or its reference is a
-        picture."""
+        """Whether the fit draws maps again at every step, because it changes lights or meshes or because its reference
+        is a picture."""
         return self.reference.type == "picture" or any(is_pose(name) for name in self.fit.parameters)
 
     @property
@@ -160,7 +163,7 @@ class Config(Section):
         return self.moves if self.shadow_map.silhouettes is None else self.shadow_map.silhouettes
 
     def reach(self, bounds: Mapping[str, FitParameterConfig]) -> Reach:
-        """How far from a receiver the filter reads texels.
+        """The distance from a receiver to the farthest texel that the filter reads, in texels.
 
         **Arguments:**
 
@@ -192,21 +195,23 @@ class Config(Section):
         return Reach(reach, ("filter", *keys[:1]), False)
 
     def laid_out(self, bounds: Mapping[str, FitParameterConfig]) -> TechniqueConfig:
-        """`technique` with a size of its layout, if none is given, that is large enough for all fitted numbers within
+        """`technique` with a size for its layout, if none is given, that suffices for all fitted numbers within
         `bounds`."""
         return self.technique.laid_out(self, bounds)
 
     def named_with(self, suffix: str) -> Self:
-        """The configuration with `suffix` appended to its name. The name is cut if both are too long for a folder."""
+        """The configuration with `suffix` appended to its name. The name is cut if the result is too long for a
+        folder."""
         name = self.name.encode()[: _LONGEST_NAME - len(suffix.encode())].decode(errors="ignore")
         return self.model_copy(update={"name": f"{name}{suffix}"})
 
     def with_layout_of_fit(self) -> Self:
-        """The configuration with the layout that its fit draws, so that a render with fitted values draws the same."""
+        """The configuration with the layout that its fit draws, so that a render with fitted values draws the same
+        picture."""
         return self.model_copy(update={"technique": self.laid_out(self.fit.parameters)})
 
     def with_starts(self) -> Self:
-        """The configuration with the starts of fitted numbers that are not set."""
+        """The configuration with values for the starts of fitted numbers that are not set."""
         config = self
         for name, number in of_technique(self).items():
             bounds = self.fit.parameters.get(name)
@@ -242,17 +247,17 @@ class Config(Section):
             yield from section.faults_of_run(self, at)
 
     def fit_faults(self, *, named: bool = True) -> Iterator[Conflict]:
-        """Faults that only a fit has: a render does not use these keys.
+        """Faults that concern only a fit. A render does not use these keys.
 
         **Arguments:**
 
         - `named`: whether the file names the parameters. The default parameters may not suit a file that is only
-            rendered.
+          rendered.
         """
         for at, section in self._with_rules():
             if named or at[:2] != ("fit", "parameters"):
                 yield from section.faults_of_fit(self, at)
 
     def _with_rules(self) -> Iterator[tuple[KeyPath, Section]]:
-        """The sections that state rules with others. Meshes and lights in `fit.shape` are no part of the scene."""
+        """The sections with rules between sections. Meshes and lights in `fit.shape` are not parts of the scene."""
         return ((at, each) for at, each in self.sections() if at[:2] != ("fit", "shape") or len(at) == 2)

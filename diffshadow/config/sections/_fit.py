@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class FitParameterConfig(Section):
-    """The bounds and start of a number to fit, in the unit of its key.
+    """The bounds and the start of a number to fit, in the unit of its key.
 
     For numbers of the scene with a traced reference, the values in `scene` are the truth.
     """
@@ -32,7 +32,7 @@ class FitParameterConfig(Section):
     ascending = (("lower", "upper"),)
 
     def faults(self) -> Iterator[Conflict]:
-        # Bounds that are not in order are reported by themselves.
+        # Bounds in the wrong order are reported separately.
         if self.initial is not None and self.lower < self.upper and not self.lower <= self.initial <= self.upper:
             yield ("initial",), self._outside(f"is {plain(self.initial)}", "move it inside")
 
@@ -54,7 +54,7 @@ class FitParameterConfig(Section):
         if self.initial is not None or is_pose(name):
             return
         if start is None:
-            message = f"has no start, since {name} is not set"
+            message = f"has no start, because {name} is not set"
             yield at, fault(message, "an initial value within the bounds", f"add initial, or set {name}")
         elif not self.lower <= start <= self.upper:
             yield at, self._outside(f"starts at {name} = {plain(start)}", f"give an initial value, change {name}")
@@ -69,11 +69,11 @@ class SolverConfig(Section, fit.Solver):
 
 
 class AnnealConfig(Section, fit.Anneal):
-    """The soft compare's width during a fit: from `start` to `end` in geometric steps."""
+    """The width of the soft compare during a fit: from `start` to `end` in geometric steps."""
 
 
 class LossConfig(Section, fit.Loss):
-    """What a fit minimises: the mean square errors of its views as one number."""
+    """The quantity that a fit minimises: the mean square errors of its views as one number."""
 
     def faults(self) -> Iterator[Conflict]:
         if self.false_shadow == 0 and self.false_light == 0:
@@ -96,7 +96,7 @@ _Files = Annotated[tuple[str, ...], InputFile(), Form("a list of files", "[first
 
 
 class ShapeConfig(Section, fit.Shape):
-    """A fit of all vertices of a mesh to its shadows on screens. For each light there is one screen, behind the mesh.
+    """A fit of all vertices of a mesh to its shadows on screens. Each light has one screen, behind the mesh.
 
     Lights count as points, whatever their size. The shadows are images, or are traced from meshes: from the target of
     each light, or from the casters of the scene.
@@ -104,18 +104,18 @@ class ShapeConfig(Section, fit.Shape):
 
     start: Annotated[
         MeshConfig | None,
-        "mesh that the fit starts from; default: the scene's casters with images or targets, else the shrunk visual "
-        "hull of the shadows",
+        "mesh at the start of the fit; default: the scene's casters with images or targets, otherwise the shrunk "
+        "visual hull of the shadows",
     ] = None
     images: Annotated[_Files, "the shadow under each light, as the light sees it: dark on white"] = ()
-    masks: Annotated[_Files, "how much each pixel of an image counts, from black for not at all to white"] = ()
+    masks: Annotated[_Files, "weight of each pixel of an image, from 0 (black) to 1 (white)"] = ()
     targets: Annotated[
         Annotated[tuple[MeshConfig, ...], Form("a list of meshes, each with a path")],
-        "for each light a mesh, whose shadow under this light is traced",
+        "a mesh for each light; its shadow under this light is traced",
     ] = ()
     unseen: Annotated[
         Annotated[tuple[LightConfig, ...], Form("a list of lights")],
-        "lights that the fit does not see, which only measure the result",
+        "lights that only measure the result; the fit does not use them",
     ] = ()
     phases: Annotated[
         tuple[ShapePhaseConfig, ...], Len(1, 100), Form("a list of phases", "[{strength: 20, rate: 0.1, steps: 150}]")
@@ -132,11 +132,11 @@ class ShapeConfig(Section, fit.Shape):
             expected = "shadows traced under known lights"
             yield (
                 ("off",),
-                fault("is given together with images", expected, "remove it: lights start at their place in the scene"),
+                fault("is given together with images", expected, "remove it: lights start at their scene position"),
             )
         for key, others in (("images", self.images), ("targets", self.targets)):
             if others and self.unseen:
-                expected = "shadows traced from the scene, since others show no single shape"
+                expected = "shadows traced from the scene, because other shadows do not show a single shape"
                 yield ("unseen",), fault(f"is given together with {key}", expected, f"remove unseen or {key}")
         for i, phase in enumerate(self.phases):
             most = fit.widest_blur(*self.resolution)
@@ -170,7 +170,7 @@ class ShapeConfig(Section, fit.Shape):
 
 _as_names = BeforeValidator(lambda value: (value,) if isinstance(value, str) else value)
 MIN_BIAS = "least_bias"
-"""The preference for the least biases, then the least radii."""
+"""The preference for the smallest biases, then the smallest radii."""
 _RADII = ("radius", "light_size", "blur_scale")
 # Float32 entries of the Jacobian, one per pixel and parameter: 1 GB.
 _MAX_DERIVATIVES = 1 << 28
@@ -191,15 +191,15 @@ class FitConfig(Section, fit.Fit):
     )
     solver: SolverConfig = Field(default_factory=SolverConfig, description="the optimizer")
     anneal: AnnealConfig = Field(default_factory=AnnealConfig, description="the soft compare's width during the fit")
-    views: Annotated[ViewsConfig | None, "scenes to fit to together, instead of the configuration's own"] = None
-    validation: Annotated[ValidationConfig | None, "scenes to measure the result on, which the fit does not see"] = None
+    views: Annotated[ViewsConfig | None, "scenes to fit together, instead of the configuration's own"] = None
+    validation: Annotated[ValidationConfig | None, "scenes to measure the result on; the fit does not use them"] = None
     prefer: Annotated[
         tuple[str, ...],
         _as_names,
         Form("least_bias, or a list of parameters"),
-        "parameters to bring as close to 0 as tolerance allows, the first first; least_bias: all biases, then radii",
+        "parameters to bring as close to 0 as tolerance allows, in this order; least_bias: all biases, then radii",
     ] = ()
-    loss: AnyLossConfig = Field(default_factory=LOSSES.make, description="what the fit minimises")
+    loss: AnyLossConfig = Field(default_factory=LOSSES.make, description="the quantity that the fit minimises")
     shape: Annotated[ShapeConfig | None, "a fit of all vertices of a mesh to its shadows, instead of parameters"] = None
 
     @classmethod

@@ -1,5 +1,6 @@
-"""Which numbers of a configuration can be fitted: those marked as `Fitted` in the sections of its technique, and those
-that sections of the scene, and in fits to pictures of the shading and the reference, list as `moving`."""
+"""The numbers of a configuration that can be fitted: the numbers marked as `Fitted` in the sections of its technique,
+and the numbers that sections of the scene list as `moving`. Fits to pictures add numbers of the shading and the
+reference."""
 
 import functools
 from collections.abc import Iterable, Iterator, Mapping
@@ -20,7 +21,7 @@ from ._technique import FILTERS, PLANES, TECHNIQUES, BiasConfig, PercentageClose
 if TYPE_CHECKING:
     from ._config import Config
 
-# All sections of a technique with numbers that can be fitted, by their keys.
+# All sections of a technique with numbers that can be fitted, by key.
 _KINDS = {
     "bias": [BiasConfig],
     "bias.terms": [TermsConfig],
@@ -28,7 +29,7 @@ _KINDS = {
     "filter": [*FILTERS.sections.values()],
     "technique": [*TECHNIQUES.sections.values()],
 }
-# Where the module's fields are called otherwise than their section.
+# Sections whose names differ from the module's fields.
 _FIELDS = {"bias.terms": "bias.terms.weights", "technique": "layout"}
 
 
@@ -38,7 +39,7 @@ def is_pose(name: str) -> bool:
 
 
 def key_of(name: str) -> tuple[str, str, int | None]:
-    """The section that holds the number `name`, its key there, and its index if the key holds a list."""
+    """The section with the number `name`, its key there, and its index if the key is a list."""
     holder, _, key = name.rpartition(".")
     if not is_index(key):
         return holder, key, None
@@ -48,12 +49,12 @@ def key_of(name: str) -> tuple[str, str, int | None]:
 class Fittable(NamedTuple):
     """A number that can be fitted.
 
-    - `path`: its dotted path in the technique that the configuration builds; for a number of the scene or its shading,
-        its path in a `fit.Arrangement`.
-    - `setting`: the limits of its bounds, equal to those of the keys that set such numbers, and what it means.
+    - `path`: its dotted path in the technique that the configuration builds. For a number of the scene or its shading,
+      its path in a `fit.Arrangement`.
+    - `setting`: the limits of its bounds, equal to the limits of the keys that set such numbers, and its description.
     - `unit`: empty for colours and factors.
-    - `value`: value of a number of the technique; none if it is not set.
-    - `is_searched`: whether it is found by a search, rather than by gradient.
+    - `value`: value of a number of the technique; `None` if it is not set.
+    - `is_searched`: whether it is found by a search instead of a gradient.
     - `vertex`: the indices of mesh and vertex, if the number is a coordinate of a vertex.
     """
 
@@ -66,7 +67,7 @@ class Fittable(NamedTuple):
 
     @property
     def axis(self) -> int | None:
-        """The axis of a number that is a coordinate; none for an angle, a size or a colour."""
+        """The axis of a number that is a coordinate. `None` for an angle, a size or a colour."""
         last = self.path.rpartition(".")[2]
         return AXES.index(last) if self.unit == _VERTEX.unit and last in AXES else None
 
@@ -91,7 +92,7 @@ def of_technique(config: "Config") -> dict[str, Fittable]:
 
 
 def fittable_of(config: "Config", name: str) -> Fittable | None:
-    """The number called `name`; none if it cannot be fitted."""
+    """The number named `name`. `None` if it cannot be fitted."""
     if not is_pose(name):
         return of_technique(config).get(name)
     match name.split("."):
@@ -139,7 +140,7 @@ def _fitted_keys(section: type[Section]) -> dict[str, Fitted]:
 
 
 def is_limit(config: "Config", name: str, bound: float) -> bool:
-    """Whether the number `name` cannot lie beyond `bound`, or makes no sense there.
+    """Whether the number `name` cannot exceed `bound`, or makes no sense beyond it.
 
     Such a bound is a limit of its key, or 0 for a number of the technique: no bias, no radius.
     """
@@ -152,8 +153,8 @@ _VERTEX = Setting.of(Coordinate)
 
 
 def poses(config: "Config") -> dict[str, Fittable]:
-    """The numbers of the scene that can be fitted, by name; for a fit to a picture, also the numbers of its shading.
-    Vertices are left out: there are too many."""
+    """The numbers of the scene that can be fitted, by name. For a fit to a picture, also the numbers of its shading.
+    Vertices are left out because there are too many."""
     scene, shading, found = config.scene, config.shading, {}
 
     def add(name: str, path: str, settings: Mapping[str, Setting]) -> None:
@@ -177,8 +178,8 @@ def poses(config: "Config") -> dict[str, Fittable]:
 
 @functools.cache
 def _names() -> tuple[frozenset[str], frozenset[str]]:
-    """The names of numbers that some configuration can fit, and of those that only a fit to a picture can, each with 0
-    in place of its indices."""
+    """The names of numbers that some configuration can fit, and the names of numbers that only a fit to a picture can
+    fit. Indices are replaced by 0."""
 
     def below(holder: str, kinds: Iterable[Any], key: str = "moving") -> Iterator[str]:
         yield from (f"{holder}.{name}" for kind in kinds for name in getattr(kind, key, ()))
@@ -225,7 +226,7 @@ def misnamed(config: "Config", names: Iterable[str]) -> Iterator[Conflict]:
 
 
 def name_faults(config: "Config", name: str) -> Iterator[PydanticCustomError]:
-    """What is wrong with fitting the number named `name`."""
+    """The fault of fitting the number named `name`."""
     if is_pose(name):
         yield from _pose_faults(config, name)
     elif name not in (known := of_technique(config)):
@@ -258,7 +259,7 @@ def _pose_faults(config: "Config", name: str) -> Iterator[PydanticCustomError]:
     elif needs_picture and name.startswith("shading.intensity."):
         mend = "name one of these, or remove all shading.intensities"
         expected = f"shading.{EACH_INTENSITY}0.{words[-1]}, and so on"
-        yield fault("has no effect, since shading.intensities take its place", expected, mend)
+        yield fault("has no effect, because shading.intensities replace it", expected, mend)
     else:
         known = [*poses(config), "scene.meshes.0.vertices.0.x"]
         yield fault("cannot be fitted in this scene", listing(known), did_you_mean(name, known, "name one of these"))

@@ -20,7 +20,7 @@ _MAX_CAMERA_RAYS = 1 << 26
 # Two hours at ten million per second.
 _MAX_SHADOW_RAYS = 1 << 36
 EACH_INTENSITY = "intensities."
-"""What precedes the index of a light in the names of intensities, one by one."""
+"""The part before the index of a light in the names of single intensities."""
 
 
 class AttenuationConfig(Section, shading.Attenuation):
@@ -50,7 +50,7 @@ class LitConfig(Section, shading.Lit):
         return key
 
     def moving_in(self, config: "Config") -> Mapping[str, Setting]:
-        """The numbers that can be fitted in `config`: intensities of all lights together, or one by one."""
+        """The numbers that can be fitted in `config`: one intensity for all lights, or one for each light."""
         count, found = len(config.scene.each_light), dict(self.moving)
         if self.intensities is not None or self.fits_each_intensity(config):
             found = {key: kind for key, kind in found.items() if not key.startswith("intensity.")}
@@ -60,7 +60,7 @@ class LitConfig(Section, shading.Lit):
         return found
 
     def fits_each_intensity(self, config: "Config") -> bool:
-        """Whether intensities of lights are fitted one by one."""
+        """Whether each light's intensity is fitted separately."""
         return any(name.startswith(f"shading.{EACH_INTENSITY}") for name in config.fit.parameters)
 
     def faults_of_run(self, config: "Config", at: KeyPath) -> Iterator[Conflict]:

@@ -33,7 +33,7 @@ AXES, CHANNELS = ("x", "y", "z"), ("red", "green", "blue")
 _FACES_OF_A_CUBE = 6
 # About 300 bytes each while an image is processed: 5 GB.
 MAX_PIXELS = 1 << 24
-"""The most pixels of an image, and of all views of a fit together."""
+"""The maximum number of pixels of an image, and of all views of a fit together."""
 
 
 def _vector(key: str, kind: Any) -> dict[str, Setting]:
@@ -46,12 +46,12 @@ def colour_of(key: str, kind: Any) -> dict[str, Setting]:
 
 
 _POSITION, _ANGLES = _vector("position", Coordinate), {key: Setting.of(Turn) for key in ("azimuth", "elevation")}
-# Beyond this distance a mesh vanishes in the rounding of float32.
+# Beyond this distance, float32 rounding destroys a mesh.
 Radii = Annotated[float, Limits(0, 1e4, above_low=True), Unit("radii")]
 
 
 class LightOrbit(Section):
-    """A light placed by angles about the middle of the scene's first mesh."""
+    """A light placed by angles about the centre of the scene's first mesh."""
 
     azimuth: Annotated[Turn, "0 towards +z of the mesh, 90 towards +x, in degrees"] = 60.0
     elevation: Annotated[Degrees, Limits(-90, 90), "height above the horizon, in degrees"] = 60.0
@@ -59,10 +59,10 @@ class LightOrbit(Section):
 
 
 class ShadowCamera(Section, scene.ShadowCamera):
-    """The camera that a directional light's map is drawn with, by the names and defaults of three.js: a parallel camera
-    at `position` that looks along the light, with +y up."""
+    """The camera that draws a directional light's map, with the names and defaults of three.js: a parallel camera at
+    `position` that looks along the light, with +y up."""
 
-    position: Annotated[Position, "where near, far and the window are measured from, in world units"]
+    position: Annotated[Position, "the origin of near, far and the window, in world units"]
 
 
 class AnyLightConfig(Section, scene.Light):
@@ -72,25 +72,26 @@ class AnyLightConfig(Section, scene.Light):
     moving: ClassVar[Mapping[str, Setting]] = {}
 
     def maps(self, layers: int) -> int:
-        """The number of its maps, if a light with one view has `layers` of them."""
+        """The number of its maps, if a light with one view has `layers` maps."""
         return layers
 
 
 class DirectionalLightConfig(AnyLightConfig, scene.Sun):
     """Light from infinitely far away."""
 
-    azimuth: Annotated[Turn | None, "where the light comes from: 0 from +z, 90 from +x, in degrees; default 60"] = None
+    azimuth: Annotated[Turn | None, "azimuth of the light's source: 0 is +z, 90 is +x, in degrees; default 60"] = None
     elevation: Annotated[
-        Degrees | None, Limits(-90, 90), "angle above the horizon it comes from, in degrees; default 45"
+        Degrees | None, Limits(-90, 90), "elevation of the light's source above the horizon, in degrees; default 45"
     ] = None
     direction: Annotated[Direction | None, "direction of travel, of any length; instead of azimuth and elevation"] = (
         None
     )
     frame: Annotated[
-        Literal["scene", "casters"], "what the map is fitted to; with casters, pixels outside the map do not count"
+        Literal["scene", "casters"],
+        "the objects that the map is fitted to; with casters, pixels outside the map do not count",
     ] = "scene"
     shadow_camera: Annotated[
-        ShadowCamera | None, "camera of the map, instead of one that is fitted; pixels outside do not count"
+        ShadowCamera | None, "camera of the map, instead of a fitted camera; pixels outside do not count"
     ] = None
     exclusive = (("direction", "azimuth", "elevation"),)
     moving: ClassVar[Mapping[str, Setting]] = {
@@ -232,16 +233,16 @@ class MeshConfig(Section):
         Annotated[float, Limits(SMALLEST, FARTHEST), Unit("world units")] | None,
         "longest side to scale the mesh to, in world units",
     ] = None
-    drop_to_ground: Annotated[bool, "whether to move the mesh up or down until it stands on y = 0"] = False
+    drop_to_ground: Annotated[bool, "whether to move the mesh up or down to rest on y = 0"] = False
     translate: Annotated[Position, "translation, after scale and rotate, in world units"] = (0.0, 0.0, 0.0)
     rotate: Annotated[Angles, "rotation about the x, then the y, then the z axis, in degrees"] = (0.0, 0.0, 0.0)
     # Enough to scale the largest scenes to the smallest, and back.
     scale: Annotated[float, Limits(1e-15, 1e15), "scale factor about the origin"] = 1.0
     crease_angle: Annotated[
-        Degrees, Limits(0, 180), "edges of a mesh file bent by more are shaded sharp, in degrees"
+        Degrees, Limits(0, 180), "edges of a mesh file with a larger angle are shaded as sharp, in degrees"
     ] = 30.0
     normals: Annotated[
-        Literal["creases", "file"], "normals by crease_angle, or a mesh file's normals of vertices (PLY, glTF)"
+        Literal["creases", "file"], "creases: normals from crease_angle; file: a mesh file's vertex normals (PLY, glTF)"
     ] = "creases"
     albedo: Annotated[
         Colour, "diffuse colour, each component in [0, 1], times the colours and textures of a mesh file"
@@ -253,23 +254,23 @@ class MeshConfig(Section):
     )
     alpha_cutoff: Annotated[
         Annotated[float, Limits(0, 1)] | None,
-        "the mesh is cut out where its alpha (the texture's times the vertices') is below this value; 0 cuts nothing "
-        "out; default: as the mesh file says",
+        "alpha (the texture's times the vertices') below which the mesh is cut out; 0 for no alpha test; default: as "
+        "in the mesh file",
     ] = None
     texture_wrap: Annotated[
         Annotated[scene.Wraps, Form(_WRAPS)] | None,
-        "wrapping of the texture beyond its image: repeat, clamp or mirror; default: as the mesh file says, or repeat",
+        "wrapping of the texture beyond its image: repeat, clamp or mirror; default: as in the mesh file, or repeat",
     ] = None
     texture_filter: Annotated[
         scene.TexelFilter | None,
-        "filter between texels: bilinear, or nearest; default: as the mesh file says, or linear",
+        "filter between texels: linear (bilinear) or nearest; default: as in the mesh file, or linear",
     ] = None
     casts: Annotated[
         bool, "whether it casts shadows, or only receives them; reference.blockers can let it block rays"
     ] = True
     receives: Annotated[bool, "whether an engine shows shadows on it; pixels of others count in no error"] = True
     moving: ClassVar[Mapping[str, Setting]] = {**_vector("translate", Coordinate), **_vector("turn", Turn)}
-    # In a fit to a picture.
+    # For a fit to a picture.
     coloured: ClassVar[Mapping[str, Setting]] = colour_of("albedo", Fraction)
 
     @property
@@ -296,7 +297,7 @@ class MeshConfig(Section):
 
 
 class CameraOrbit(Section):
-    """A camera placed by angles about the middle of the scene's first mesh."""
+    """A camera placed by angles about the centre of the scene's first mesh."""
 
     azimuth: Annotated[Turn, "0 towards +z of the mesh, 90 towards +x, in degrees"] = 30.0
     elevation: Annotated[Degrees, Limits(-90, 90), "height above the horizon, in degrees"] = 30.0
@@ -314,7 +315,7 @@ class AnyCameraConfig(Section, scene.Camera):
     ] = False
     ascending = (("near", "far"),)
     exclusive = (("orbit", "eye", "target"),)
-    # In a fit to a picture.
+    # For a fit to a picture.
     moving: ClassVar[Mapping[str, Setting]] = {**_vector("eye", Coordinate), **_vector("turn", Turn)}
 
     @property
@@ -382,7 +383,7 @@ class SceneConfig(Section):
 
     @property
     def each_light(self) -> dict[KeyPath, LightConfig]:
-        """All lights, by their key paths inside this section."""
+        """All lights, by their key paths in this section."""
         if self.lights is None:
             return {} if self.light is None else {("light",): self.light}
         return {("lights", i): light for i, light in enumerate(self.lights)}
@@ -404,7 +405,7 @@ class SceneConfig(Section):
             yield ("light",), fault("is empty", "a light", "remove the key to get its default")
 
     def cut_out(self, why: str, mend: str) -> Iterator[Conflict]:
-        """Faults of alpha tests where the outlines of casters matter."""
+        """Faults of alpha tests in methods that use the outlines of casters."""
         for i, mesh in enumerate(self.meshes):
             if mesh.alpha_cutoff:
                 message = f"is {mesh.alpha_cutoff:g} {why}, whose outlines follow whole faces"

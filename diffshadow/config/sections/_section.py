@@ -31,14 +31,14 @@ if TYPE_CHECKING:
 _LONGEST_INDEX = 10
 
 FAULT = "diffshadow"
-"""The type of the errors made by `fault`, to tell them from pydantic's own."""
+"""The type of the errors made by `fault`, to distinguish them from pydantic's own."""
 
 Conflict = tuple[KeyPath, PydanticCustomError]
-"""The path of a key, and what is wrong with it."""
+"""The path of a key, and its fault."""
 
 
 def fault(given: str, expected: str, mend: str) -> PydanticCustomError:
-    """A validation error: what was given, what was expected, and how to mend it."""
+    """A validation error: the given value, the expected value, and the remedy."""
     words = {"given": given, "expected": expected, "mend": mend}
     return PydanticCustomError(FAULT, "{given}; expected {expected}; {mend}", words)
 
@@ -53,12 +53,12 @@ def marked(field: FieldInfo) -> tuple[Any, tuple[Any, ...]]:
 class Section(BaseModel, Settings):
     """A mapping in a configuration. Values are not coerced, unknown keys are errors, and sections are immutable.
 
-    A section states the rules that concern it:
+    A section defines its rules:
 
-    - `ascending`, and `exclusive`: a key, and others that cannot be given together with it. Both are checked together
-        with single keys.
-    - `faults`: faults between its keys, once each key is valid.
-    - `faults_of_run`, `faults_of_fit`: faults between its keys and other sections, once all sections are valid.
+    - `ascending`: keys whose values must increase. `exclusive`: a key, and others that cannot be given together with
+      it. Both are checked together with single keys.
+    - `faults`: faults between its keys, after each key is valid.
+    - `faults_of_run`, `faults_of_fit`: faults between its keys and other sections, after all sections are valid.
     """
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
@@ -71,19 +71,19 @@ class Section(BaseModel, Settings):
 
     @classmethod
     def conflicts(cls, data: Mapping[str, Any]) -> Iterator[Conflict]:
-        """Faults of `data` before its keys are checked one by one. Its values may have any type."""
+        """Faults of `data`, found before its keys are checked one by one. Its values may have any type."""
         yield from ()
 
     def faults(self) -> Iterator[Conflict]:
-        """Faults between keys that are valid on their own. Paths are within the section."""
+        """Faults between keys that are valid on their own. Paths are relative to the section."""
         yield from ()
 
     def faults_of_run(self, config: "Config", at: KeyPath) -> Iterator[Conflict]:
-        """Faults between this section, at the path `at`, and other sections of `config`. Paths are whole."""
+        """Faults between this section, at the path `at`, and other sections of `config`. Paths start at the root."""
         yield from ()
 
     def faults_of_fit(self, config: "Config", at: KeyPath) -> Iterator[Conflict]:
-        """The same, for faults that only a fit has."""
+        """Like `faults_of_run`, for faults that concern only a fit."""
         yield from ()
 
     def sections(self, at: KeyPath = ()) -> Iterator[tuple[KeyPath, "Section"]]:
@@ -104,7 +104,7 @@ class Section(BaseModel, Settings):
             data = cls.completed(data)
             found = [*_out_of_order(cls, data), *_given_together(cls, data), *cls.conflicts(data)]
             faults += [InitErrorDetails(type=what, loc=key, input=None) for key, what in found]
-            # YAML has lists where there are tuples here, and pydantic's strict mode rejects them.
+            # YAML has lists where the sections have tuples, and pydantic's strict mode rejects lists.
             lists = {key: data[key] for key in _lists(cls) if key in data}
             data = {**data, **{key: _as_tuple(value, *_lists(cls)[key]) for key, value in lists.items()}}
         section, single = None, []
@@ -127,7 +127,7 @@ def _faults_of_rest(section: type[Section], data: Any, invalid: Iterable[KeyPath
         rest = unchecked(section, data)
         for location in invalid:
             _drop(rest, location)
-        # A rule that needs an invalid key is the last one.
+        # The rules end at the first one that needs an invalid key.
         with suppress(AttributeError):
             yield from rest.faults()
 
@@ -168,7 +168,7 @@ def _with_value(holder: Any, path: Sequence[str | int], value: Any) -> Any:
 
 
 def frozen(value: Any) -> Hashable:
-    """A key for caches that is different for different sections, and for lists and mappings of sections."""
+    """A key for caches that differs between sections, and between lists and mappings of sections."""
     if isinstance(value, Section):
         return type(value), *(frozen(getattr(value, key)) for key in type(value).model_fields)
     if isinstance(value, Mapping):
@@ -185,7 +185,7 @@ def _beyond_single_precision(
 ) -> Iterator[Conflict]:
     """A fault for each number in `entries` that float32 cannot represent. Inner sections check themselves."""
     for step, value in entries:
-        # First, since most are, and to look for mappings takes long.
+        # First, because most values are numbers, and searching for mappings is slow.
         if value is None or isinstance(value, str | Section):
             continue
         if isinstance(value, int | float):
@@ -200,7 +200,7 @@ def _beyond_single_precision(
 
 @functools.cache
 def _lists(section: type[Section]) -> dict[str, tuple[Any, tuple[Any, ...]]]:
-    """The type and the marks of each key that may hold a list."""
+    """The type and the marks of each key that may be a list."""
     fields = {key: marked(field) for key, field in section.model_fields.items()}
     has = lambda kind: get_origin(kind) is tuple or any(has(bare(inner)[0]) for inner in get_args(kind))
     return {key: (kind, marks) for key, (kind, marks) in fields.items() if has(kind)}
@@ -217,7 +217,7 @@ def _too_short(section: Section) -> Iterator[Conflict]:
 
 @functools.cache
 def _lengths(section: type[Section]) -> dict[str, tuple[float, Any]]:
-    """The least length of each vector that has one, and an example of it."""
+    """The minimum length of each vector that has one, and an example of it."""
     found = {}
     for key, (_, marks) in _lists(section).items():
         for mark in marks:
@@ -233,7 +233,7 @@ def _out_of_order(section: type[Section], data: Mapping[str, Any]) -> Iterator[C
 
 
 def _given_together(section: type[Section], data: Mapping[str, Any]) -> Iterator[Conflict]:
-    """Faults of keys that are given together with one that excludes them."""
+    """Faults of keys that exclude each other."""
     for key, *others in section.exclusive:
         for other in given(data, *others) if given(data, key) else ():
             mend = f"remove {other} or {key}, or set it to null"
@@ -241,7 +241,7 @@ def _given_together(section: type[Section], data: Mapping[str, Any]) -> Iterator
 
 
 def _as_tuple(value: Any, kind: Any, marks: Sequence[Any] = ()) -> Any:
-    """`value` with tuples in place of lists, wherever `kind` has tuples of this length. Others stay lists, which are
+    """`value` with tuples instead of lists where `kind` has tuples of this length. Other lists do not change; they are
     mistakes."""
     if is_union(kind):
         return next((_as_tuple(value, each) for each in get_args(kind) if get_origin(each) is tuple), value)
@@ -260,8 +260,8 @@ def _as_tuple(value: Any, kind: Any, marks: Sequence[Any] = ()) -> Any:
 
 
 def _merged(section: type[Section], data: Any, faults: Iterable[InitErrorDetails]) -> Iterator[InitErrorDetails]:
-    """`faults` with one for each value that may have several forms, such as a word or a list of words, in place of
-    one for each form."""
+    """`faults`, with a single fault for each value that may have several forms, such as a word or a list of words,
+    instead of one for each form."""
     seen: set[str | int] = set()
     for each in faults:
         key = next(iter(each.get("loc", ())), "")
@@ -288,7 +288,7 @@ def _again(error: Any) -> InitErrorDetails:
 class Variants:
     """The variants of a section, selected by the key `type`: one for each subclass of `base` that has a `type`.
 
-    A section that is written by hand adds rules between keys. The others are made here, in the namespace of `module`.
+    Sections written by hand add rules between keys. The other sections are made here, in the namespace of `module`.
     Sections of users' classes are added when a configuration names them, and are not offered as choices to other
     configurations.
     """
@@ -316,19 +316,19 @@ class Variants:
         return self.sections.get(word) or self.plugins.get(word)
 
     def of(self, data: Any) -> type[Section]:
-        """The variant that `data` names, or the default variant if that does not exist (a fault that is reported
-        elsewhere)."""
+        """The variant that `data` names, or the default variant if it does not exist. The fault is reported
+        elsewhere."""
         return self.named(str(value_at(data, "type", default=self.default))) or self.sections[self.default]
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
-        """What pydantic validates with."""
+        """The type for pydantic's validation."""
         kind = lambda value: str(value_at(value, "type", default=self.default))
         tagged = [Annotated[section, Tag(word)] for word, section in self.sections.items()]
         own = handler.generate_schema(Annotated[functools.reduce(operator.or_, tagged), Discriminator(kind)])
         return core_schema.no_info_wrap_validator_function(self._validated, own)
 
     def _validated(self, data: Any, handler: Callable[[Any], Any]) -> Any:
-        """The section of `data`, which a user's class may describe."""
+        """The section of `data`, possibly of a user's class."""
         word = str(value_at(data, "type", default=self.default))
         section = self.plugins.get(word)
         if section is None or isinstance(data, section):
@@ -353,13 +353,13 @@ def _section_of(settings: type[Settings], module: str) -> type[Section]:
         if issubclass(inner, Section):
             return inner
     made = _made(settings, module)
-    # Pickles look it up there.
+    # Pickle finds the class by this name.
     setattr(sys.modules[module], made.__name__, made)
     return made
 
 
 def _made(settings: type[Settings], module: str) -> type[Section]:
-    # Rules that hold for several classes are written once, in the section of what these have in common.
+    # Rules for several classes are written once, in the section of their common base.
     shared = (each for base in settings.__mro__[1:] if "type" not in vars(base) for each in base.__subclasses__())
     bases: Any = (next((each for each in shared if issubclass(each, Section)), Section), settings)
     made: Any = create_model(f"{settings.__name__}Config", __base__=bases, __module__=module, __doc__=settings.__doc__)
@@ -383,7 +383,7 @@ def type_of(section: type[Section]) -> str:
 
 
 def unchecked(section: type[Section], data: Any) -> Any:
-    """A section of `data` whose values may have any type. Anything that is not a mapping counts as empty."""
+    """A section of `data` whose values may have any type. Anything except a mapping counts as empty."""
     given = section.completed(data if isinstance(data, Mapping) else {})
     slots = {key: (field, *marked(field)) for key, field in section.model_fields.items()}
     values = {
@@ -425,7 +425,7 @@ def is_number(value: Any) -> TypeGuard[int | float]:
 
 
 def is_index(word: str) -> bool:
-    """Whether `word` is an index of a list entry or a vertex."""
+    """Whether `word` is the index of a list entry or a vertex."""
     return word.isascii() and word.isdigit() and len(word) <= _LONGEST_INDEX
 
 

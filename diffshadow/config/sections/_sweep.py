@@ -15,12 +15,12 @@ LIMIT_ERROR = "rmse_to_limit"
 """The name of the RMSE against the filter's limit of many samples."""
 FLICKER = "flicker"
 """The name of `metrics.flicker` over a path."""
-# What moves along that path.
+# The keys that change along the path.
 _MOVES = ("scene.camera", "scene.light", "scene.lights")
 
 
 class PlotConfig(Section):
-    """The figure of a sweep: a metric against an axis. Results are averaged over all axes not named here."""
+    """The figure of a sweep: a metric against an axis. Results are averaged over all axes that are not named here."""
 
     x: Annotated[str, "axis of the horizontal scale"]
     y: Annotated[str, "metric of the vertical scale"] = "rmse"
@@ -30,7 +30,7 @@ class PlotConfig(Section):
 
 
 class FlickerConfig(PathConfig):
-    """A short path of camera and lights. Its frames measure how much the shadow shimmers: `metrics.flicker`."""
+    """A short path of the camera and the lights. Its frames measure how much the shadow shimmers: `metrics.flicker`."""
 
     count: Annotated[int, Unit("frames"), Limits(2, 256), "number of frames, both ends included; each traces rays"]
 
@@ -39,16 +39,16 @@ class FlickerConfig(PathConfig):
         for key in self.through:
             if ".".join(key.split(".")[:2]) not in _MOVES:
                 given = "is neither the camera's nor a light's"
-                mend = "take another key, such as scene.light.azimuth"
+                mend = "use another key, such as scene.light.azimuth"
                 yield ("through", key), fault(given, f"keys within {listing(_MOVES)}", mend)
 
 
 class SweepConfig(AxesConfig):
     """Many runs: every combination of values on the axes, and of a seed, which varies fastest."""
 
-    run: Annotated[Literal["render", "fit"], "what each run does"] = "render"
+    run: Annotated[Literal["render", "fit"], "the command of each run"] = "render"
     repeats: Annotated[
-        int | None, Limits(1, 65536), "seeds for each combination, from the configuration's own upwards"
+        int | None, Limits(1, 65536), "number of seeds for each combination, starting at the configuration's own seed"
     ] = None
     seeds: Annotated[
         Annotated[tuple[int, ...], Form("a list of whole numbers")] | None, "explicit seeds, instead of repeats"
@@ -62,12 +62,12 @@ class SweepConfig(AxesConfig):
     ] = None
     plot: Annotated[PlotConfig | None, "a figure of the results; default: none"] = None
     figures: Annotated[bool, "whether each run also writes its own figures"] = False
-    csv: Annotated[bool, "whether the table is also written as CSV where it is Parquet"] = False
+    csv: Annotated[bool, "whether the table is also written as CSV if it is Parquet"] = False
     exclusive = (("repeats", "seeds"),)
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """The swept keys, once each, from slowest to fastest. The seed is always last, even if it is not swept."""
+        """The distinct swept keys, from slowest to fastest. The seed is always last, even if it is not swept."""
         return tuple(dict.fromkeys([*(key for key in super().axes if key != "seed"), "seed"]))
 
     def assigned(self) -> Iterator[tuple[KeyPath, str]]:

@@ -28,7 +28,7 @@ _MAX_TEXELS = 1 << 26
 
 
 def _too_many_texels(config: "Config", path: KeyPath, resolution: tuple[int, int], layers: int) -> Iterator[Conflict]:
-    """A fault of maps of a `resolution`, so many of each light, that would take too much memory."""
+    """A fault of maps with this `resolution`, and this many for each light, that would take too much memory."""
     height, width = resolution
     count = sum(light.maps(layers) for light in config.scene.each_light.values())
     if count * height * width > _MAX_TEXELS:
@@ -39,22 +39,22 @@ def _too_many_texels(config: "Config", path: KeyPath, resolution: tuple[int, int
 
 
 class AnyTechniqueConfig(Section, techniques.Technique):
-    """How shadows are drawn.
+    """A method of drawing shadows.
 
-    - `is_mapped`: whether the sections shadow_map, bias, compare and filter set it up.
-    - `is_selective`: whether meshes may show no shadows.
+    - `is_mapped`: whether the sections shadow_map, bias, compare and filter apply.
+    - `is_selective`: whether meshes can be excluded from receiving shadows.
     """
 
     is_mapped: ClassVar[bool] = False
     is_selective: ClassVar[bool] = False
 
     def laid_out(self, config: "Config", bounds: Bounds) -> Self:
-        """The technique with values for what its layout reserves, where none are given: as much as fitted numbers
-        within `bounds` need."""
+        """The technique with values for missing reserves of its layout, as large as fitted numbers within `bounds`
+        need."""
         return self
 
     def max_share(self, bounds: Bounds) -> float | None:
-        """The greatest part of all texels that a cascade may have, in (0, 1]; none unless cascades have shares.
+        """The largest fraction of all texels that a cascade may have, in (0, 1]. `None` unless cascades have shares.
 
         **Arguments:**
 
@@ -78,7 +78,7 @@ class MappedConfig(AnyTechniqueConfig, techniques.Mapped):
 
 
 class FittedLayoutConfig(MappedConfig, techniques.FittedLayout):
-    """Maps that are fitted to what a camera sees, under directional lights."""
+    """Maps that are fitted to the camera's view, under directional lights."""
 
     def laid_out(self, config: "Config", bounds: Bounds) -> Self:
         return self if self.margin is not None else changed(self, margin=config.reach(bounds).texels + SPARE)
@@ -96,9 +96,10 @@ class FittedLayoutConfig(MappedConfig, techniques.FittedLayout):
         yield from self._beyond_margins(config, config.fit.parameters)
 
     def _beyond_margins(self, config: "Config", bounds: Bounds) -> Iterator[Conflict]:
-        """A fault of a given margin that is narrower than filters read, with fitted numbers at their `bounds`."""
+        """A fault of a given margin that is smaller than the reach of filters, with fitted numbers at their
+        `bounds`."""
         reach = config.reach(bounds)
-        # A margin that is too narrow without the bounds is a fault of the run.
+        # A margin that is too small without the bounds is a fault of the run.
         if self.margin is None or self.margin >= reach.texels or (bounds and self.margin < config.reach({}).texels):
             return
         by = f"{dotted(reach.path)} lets the filter read" if reach.is_of_fit else "the filter reads"
@@ -182,7 +183,7 @@ class CascadesConfig(FittedLayoutConfig, techniques.Cascades):
         """A fault of layers as large as the largest cascade, with fitted shares at their `bounds`."""
         greatest = self.max_share(bounds)
         if greatest is None or (bounds and greatest == self.max_share({})):
-            # What does not depend on the bounds is a fault of the run.
+            # A fault that does not depend on the bounds is a fault of the run.
             return
         (height, width), count = config.shadow_map.resolution, self.layers * len(config.scene.each_light)
         side = int((height * width * self.layers * greatest) ** 0.5)
@@ -195,7 +196,7 @@ class CascadesConfig(FittedLayoutConfig, techniques.Cascades):
 
 
 class PerspectiveWarpConfig(OneMapConfig, techniques.PerspectiveWarp):
-    """One map under each directional light, warped so that what is close to the camera gets more texels."""
+    """One map under each directional light, warped so that surfaces close to the camera get more texels."""
 
     lacks = ("silhouettes", "polygon_offset")
 
@@ -233,7 +234,7 @@ class ResolutionMatchedConfig(OneMapConfig, techniques.ResolutionMatched):
         yield from self._beyond_gutters(config, config.fit.parameters)
 
     def _beyond_gutters(self, config: "Config", bounds: Bounds) -> Iterator[Conflict]:
-        """A fault of a filter that reads further than half a page, with fitted numbers at their `bounds`."""
+        """A fault of a filter that reads farther than half a page, with fitted numbers at their `bounds`."""
         reach = config.reach(bounds)
         is_within = self.margin is not None or reach.texels + SPARE <= self.page // 2
         if not is_within and (reach.is_of_fit or not bounds):
@@ -243,7 +244,7 @@ class ResolutionMatchedConfig(OneMapConfig, techniques.ResolutionMatched):
 
 
 def _unused(config: "Config", key: str, why: str, mend: str) -> Iterator[Conflict]:
-    """A fault if a number of a layout is fitted that others replace."""
+    """A fault if a fitted number of a layout has no effect."""
     name = f"technique.{key}"
     if name in config.fit.parameters:
         what = fault(f"changes nothing, since {why}", "a number that the layout uses", mend)
@@ -264,14 +265,14 @@ class ProjectiveShadowConfig(AnyTechniqueConfig, techniques.ProjectiveShadow):
         yield from _too_many_texels(config, ("technique", "resolution"), self.resolution, 1)
         if all(mesh.casts for mesh in config.scene.meshes):
             message, mend = (
-                "projects shadows onto meshes that do not cast, and all of scene.meshes cast",
+                "projects shadows only onto meshes that do not cast, but all of scene.meshes cast",
                 ("set casts: false for the receivers"),
             )
             yield ("technique", "type"), fault(message, "a mesh that does not cast", mend)
 
 
 class EngineConfig(AnyTechniqueConfig, engines.Engine):
-    """The shadows of an engine. `of_meshes`: its keys that may have a list with an entry for each mesh."""
+    """The shadows of an engine. `of_meshes`: its keys that may be a list with an entry for each mesh."""
 
     is_selective = True
     of_meshes: ClassVar[tuple[str, ...]] = ()
@@ -300,15 +301,15 @@ class EngineConfig(AnyTechniqueConfig, engines.Engine):
                 yield ("technique", name), fault(message, "one for each", "give one for all, or one for each")
 
     def square_for(self, config: "Config") -> str:
-        """Why maps must be square; empty if they need not be."""
+        """The reason why maps must be square. Empty if they need not be."""
         if self.has_square_maps:
             return f"technique.type is {self.type}, whose maps are square"
         has_cube = any(light.type == "point" for light in config.scene.each_light.values())
-        return "a light is point, whose map is a cube's faces in engines" if has_cube else ""
+        return "a light is point, and engines draw its map as a cube's faces" if has_cube else ""
 
 
 class ThreeJsConfig(EngineConfig, engines.ThreeJs):
-    """The shadows of three.js r187, by the names, units and defaults of light.shadow and renderer.shadowMap."""
+    """The shadows of three.js r187, with the names, units and defaults of light.shadow and renderer.shadowMap."""
 
     of_meshes = ("side", "shadow_side")
 
@@ -322,28 +323,28 @@ class ThreeJsConfig(EngineConfig, engines.ThreeJs):
 
 
 class BabylonJsConfig(EngineConfig, engines.BabylonJs):
-    """The shadows of Babylon.js 9.34 (WebGL2), by the names, units and defaults of its ShadowGenerator. The map must be
-    square."""
+    """The shadows of Babylon.js 9.34 (WebGL2), with the names, units and defaults of its ShadowGenerator. The map must
+    be square."""
 
     of_meshes = ("back_face_culling",)
 
 
 class PlayCanvasConfig(EngineConfig, engines.PlayCanvas):
-    """The shadows of PlayCanvas 2.23 (WebGL2, without clustered lighting), by the names, units and defaults of its
+    """The shadows of PlayCanvas 2.23 (WebGL2, without clustered lighting), with the names, units and defaults of its
     LightComponent. The map must be square."""
 
     of_meshes = ("side",)
 
 
 class BevyConfig(EngineConfig, engines.Bevy):
-    """The shadows of Bevy 0.19 under directional and spot lights, by the names, units and defaults of its lights. The
+    """The shadows of Bevy 0.19 under directional and spot lights, with the names, units and defaults of its lights. The
     map must be square."""
 
     of_meshes = ("side",)
 
 
 class GodotCompatibilityConfig(EngineConfig, engines.GodotCompatibility):
-    """The shadows of Godot 4.6 in its Compatibility renderer, by the names, units and defaults of its lights. The map
+    """The shadows of Godot 4.6 in its Compatibility renderer, with the names, units and defaults of its lights. The map
     must be square."""
 
     of_meshes = ("side",)
@@ -384,11 +385,12 @@ PlaneConfig = Annotated[biases.Plane, PLANES]
 
 
 class TermsConfig(Section, biases.Terms):
-    """The weights of a bias that is linear in what a shader knows about a receiver; a sum below 0 counts as 0."""
+    """The weights of a bias that is linear in values that a shader knows about a receiver. A sum below 0 counts as
+    0."""
 
     @property
     def given(self) -> bool:
-        """Whether there is any."""
+        """Whether any weight is given."""
         return any(getattr(self, key) is not None for key in type(self).model_fields)
 
 
@@ -401,7 +403,7 @@ class LayerConfig(Section):
     weight: Annotated[
         tuple[_Numbers, ...], Form("a list of lists of numbers"), "a list of weights for each of the layer's values"
     ]
-    bias: Annotated[_Numbers, "what is added to each of the layer's values"]
+    bias: Annotated[_Numbers, "offset of each of the layer's values"]
 
 
 class NetworkConfig(Section):
@@ -415,7 +417,7 @@ class BiasConfig(Section, biases.Bias):
     """Biases, which move receivers towards the light before the compare."""
 
     terms: TermsConfig = Field(
-        default_factory=TermsConfig, description="a bias that depends on several things that a shader knows"
+        default_factory=TermsConfig, description="a bias that depends on several values that a shader knows"
     )
     network: Annotated[NetworkConfig | None, "a perceptron that corrects terms; default: none"] = None
     plane: PlaneConfig = Field(default_factory=PLANES.make, description="bias from the receiver's plane")
@@ -477,17 +479,17 @@ FilterConfig = Annotated[filters.Filter, FILTERS]
 
 _NONE = rules.Numbers(0.0, 0.0, 0.0)
 _PLANES = ({}, {"type": "none"}, {"type": "receiver_plane"})
-"""Sections of a plane that the rules were measured with."""
+"""Sections of a plane with measured rules."""
 
 
 def with_bias(data: Mapping[str, Any], across: float = math.inf) -> Mapping[str, Any]:
     """The data of a configuration with a constant and a slope bias, and a normal offset unless both are given. Invalid
     sections are reported elsewhere.
 
-    A normal offset lets the filter read farther, so there is no default offset where a map's borders limit how far a
-    filter reads.
+    A normal offset lets the filter read farther. There is no default offset if a map's borders limit the reach of the
+    filter.
 
-    **Arguments:** `across`: how many texels a typical caster is wide.
+    **Arguments:** `across`: the width of a typical caster in texels.
     """
     bias, kernel = data.get("bias", {}), data.get("filter", {})
     if not isinstance(bias, Mapping) or not isinstance(kernel, Mapping):
@@ -499,7 +501,7 @@ def with_bias(data: Mapping[str, Any], across: float = math.inf) -> Mapping[str,
 
 
 def _has_near_borders(data: Mapping[str, Any]) -> bool:
-    """Whether a filter can read beyond a map's part: a point light's face, a page, or a margin that is given."""
+    """Whether a filter can read beyond a map's part: a point light's face, a page, or a given margin."""
     lights = value_at(data, "scene", "lights")
     every = [value_at(data, "scene", "light"), *(lights if isinstance(lights, list | tuple) else ())]
     if any(value_at(light, "type") == "point" for light in every):
@@ -510,13 +512,13 @@ def _has_near_borders(data: Mapping[str, Any]) -> bool:
 
 
 def _has_terms(bias: Mapping[str, Any]) -> bool:
-    """`TermsConfig.given` of a bias that is not validated yet. What is no mapping is reported elsewhere."""
+    """`TermsConfig.given` for a bias that is not validated yet. Values other than mappings are reported elsewhere."""
     terms = bias.get("terms")
     return bool(given(terms, *terms) if isinstance(terms, Mapping) else terms)
 
 
 def _rule(bias: Mapping[str, Any], kernel: Mapping[str, Any], across: float) -> rules.Numbers:
-    # Rules are in texels, and a bias of terms needs no other.
+    # Rules are in texels. A bias of terms needs no rule.
     if bias.get("unit") == "depth" or _has_terms(bias) or bias.get("plane", {}) not in _PLANES:
         return _NONE
     kind: Any = FILTERS.of(kernel)
@@ -530,7 +532,7 @@ def _rule(bias: Mapping[str, Any], kernel: Mapping[str, Any], across: float) -> 
 
 
 def _within(data: Mapping[str, Any], key: str, value: float) -> float:
-    """A number of the bias, moved into the bounds that it is fitted within."""
+    """A number of the bias, clipped to the bounds of its fit."""
     bounds = value_at(data, "fit", "parameters", f"bias.{key}")
     low, high = (value_at(bounds, end) for end in ("lower", "upper"))
     value = min(value, float(MAX_TEXELS))

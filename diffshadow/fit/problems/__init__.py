@@ -1,4 +1,4 @@
-"""What can be fitted: a technique, or an arrangement of lights and meshes as well."""
+"""The problems that can be fitted: a technique, or an arrangement of lights and meshes."""
 
 from ._abstract import AbstractProblem as AbstractProblem
 from ._arranged import ArrangedProblem as ArrangedProblem

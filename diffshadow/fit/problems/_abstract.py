@@ -1,4 +1,4 @@
-"""What a fit needs to know of a problem."""
+"""The interface between a fit and its problems."""
 
 import abc
 from collections.abc import Sequence
@@ -33,7 +33,7 @@ class AbstractProblem(eqx.Module):
     @property
     @abc.abstractmethod
     def count(self) -> Float[Array, "*n"]:
-        """How many pixels count in its image, or in each of its images, such as the channels of a picture."""
+        """The number of pixels that count in its image, or in each of its images, such as the channels of a picture."""
 
     @property
     @abc.abstractmethod
@@ -51,11 +51,11 @@ class AbstractProblem(eqx.Module):
 
     @abc.abstractmethod
     def difference(self, subject: Any) -> Float[Array, "*n h w"]:
-        """The image, or each of its images, minus the reference at the pixels that count, 0 elsewhere."""
+        """The image, or each of its images, minus the reference at the pixels that count, and 0 elsewhere."""
 
     def difference_and_overflow(self, subject: Any) -> tuple[Float[Array, "*n h w"], Overflow | None]:
-        """The difference, and a flag instead of an error: whether silhouettes are missing, so that the difference is
-        wrong. `None` if nothing is drawn that could overflow."""
+        """The difference, and a flag that replaces an error: whether silhouettes are missing, so that the difference is
+        wrong. The flag is `None` if nothing that could overflow is drawn."""
         return self.difference(subject), None
 
     @abc.abstractmethod
@@ -69,11 +69,11 @@ class AbstractProblem(eqx.Module):
 
     @abc.abstractmethod
     def laid_out(self, subject: Any) -> "AbstractProblem":
-        """The same problem with maps in the layout of `subject`, if `difference` does not draw them so."""
+        """The same problem with maps in the layout of `subject`, unless `difference` draws them."""
 
     @abc.abstractmethod
     def planned(self) -> "AbstractProblem":
-        """The same problem with the memory that drawing needs under a trace."""
+        """The same problem with the memory that traced drawings need."""
 
     @abc.abstractmethod
     def padded(self) -> "AbstractProblem":
@@ -82,7 +82,7 @@ class AbstractProblem(eqx.Module):
 
 
 def any_overflow(found: Sequence[Overflow | None]) -> Overflow:
-    """Whether memory was short in any of several drawings; drawings that cannot overflow are none."""
+    """Whether any of several drawings ran out of memory. Drawings that cannot overflow are `None`."""
     known = [each for each in found if each is not None]
     xp = array_module(*known)
     return as_array(xp.any(xp.asarray(known, bool)))

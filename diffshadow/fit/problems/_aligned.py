@@ -1,4 +1,4 @@
-"""Screens whose pixels are the texels of a light's map, such as those that a sun's shadow falls on as the sun sees it.
+"""Screens whose pixels coincide with the texels of a light's map, for example a screen that faces the sun.
 
 With a bilinear look-up without a bias, each pixel's visibility is then the mean over one texel. It needs no filter,
 which would be half of a step's work and of its compiled program.
@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from ..._types import DepthMap, Mask, Visibility
 from ...shadow import Bilinear, ConstantBias, HardCompare, ShadowMap, ShadowMapping
 
-# How far a pixel's centre may be from its texel's, in texels.
+# The maximum distance between a pixel's centre and its texel's centre, in texels.
 _SAME_PLACE = 1e-3
 
 
@@ -22,7 +22,7 @@ class Receivers(eqx.Module):
 
     - `depth`: (h, w), window depth; `active`: (h, w), whether it is compared with the map.
     - `otherwise`: (h, w), visibility of pixels that are not compared.
-    - `off`: (), how far pixels are from the texels of the same number, in texels.
+    - `off`: (), the distance between pixels and the texels with the same indices, in texels.
 
     Arrays of several views have a first axis for the views.
     """
@@ -38,8 +38,8 @@ class Receivers(eqx.Module):
 
         **Arguments:**
 
-        - `clip`: clip coordinates in the light's view; `mask`: where there is a surface; `is_turned`: whether it is
-            turned to the light.
+        - `clip`: clip coordinates in the light's view; `mask`: where there is a surface; `is_turned`: whether the
+          surface faces the light.
         """
         height, width = mask.shape
         x, y, depth = (clip[..., axis] / clip[..., 3] * 0.5 + 0.5 for axis in range(3))
@@ -65,6 +65,6 @@ def may_be_aligned(technique: ShadowMapping) -> bool:
 
 
 def are_aligned(receivers: Receivers, technique: ShadowMapping) -> bool:
-    """Whether the pixels of several views are the texels of their maps."""
+    """Whether the pixels of several views coincide with the texels of their maps."""
     same_size = receivers.depth.shape[-2:] == tuple(technique.map.resolution)
     return same_size and float(np.max(receivers.off)) < _SAME_PLACE

@@ -1,4 +1,4 @@
-"""What fits of arrangements share: lights and meshes move, and images are compared under a blur."""
+"""Shared code of fits of arrangements, in which lights and meshes move and images are compared under a blur."""
 
 import abc
 import dataclasses
@@ -18,30 +18,31 @@ from .._arrangement import Arrangement
 from ._abstract import AbstractProblem
 from ._blur import blurred
 
-# The last phase's blur, in texels as the camera sees them, and the least in pixels: of suns and point lights over real
-# meshes, an image under it tells best where they are (`docs/experiments.md`).
+# The last phase's blur, in texels as the camera sees them, and its minimum in pixels. For suns and point lights over
+# real meshes, this blur locates lights and meshes best (`docs/experiments.md`).
 _LAST_BLUR = 0.7
 _MIN_BLUR = 1.0
-# There is memory for so many times the silhouettes' crossings at the start. If others need more, phases are repeated.
+# The initial memory for silhouettes' crossings, as a multiple of the crossings at the start. If more are needed, phases
+# are repeated.
 _MORE_CROSSINGS = 4
-# So many shadow points there may be within a pixel. There is one where texels are wider than two pixels, and else about
-# so many to a row of texels along a side of the pixel.
+# The maximum number of shadow points in a pixel. There is one point if texels are wider than two pixels. Otherwise
+# there are about this many for each texel along a side of the pixel.
 _FIBONACCI = 1, 2, 3, 5, 8, 13, 21
 _PER_ROW, _WIDE = 4, 2.0
 
 
 class ArrangedProblem(AbstractProblem):
-    """A problem whose subject is an `Arrangement`: what moves is drawn again at every step.
+    """A problem whose subject is an `Arrangement`. Moving objects are drawn again at every step.
 
-    - `arrangement`: whose numbers are fitted.
+    - `arrangement`: the arrangement whose numbers are fitted.
     - `scene`: meshes, camera and lights before the arrangement moves them.
-    - `weight`: (h, w), how much each pixel counts: 0 or 1, or in between if the pixel is a mean over several.
-    - `settings`: how maps are drawn. Only with silhouettes do derivatives see the shadow's outline move.
+    - `weight`: (h, w), the weight of each pixel: 0 or 1, or in between if the pixel is a mean over several.
+    - `settings`: how maps are drawn. Derivatives see the shadow's outline move only with silhouettes.
     - `edges`: edges of the casters. `planned` finds them if the settings ask for silhouettes.
     - `blur`: standard deviation, in pixels, of the Gaussian under which differences are compared; 0 for none. The blur
-        should cover a texel of the map, as seen by the camera.
-    - `shift`: (2,), how far the maps' grids of texels are moved, as for `draw_shadow_map`; none to leave them in place.
-        Maps with a warp, with pages or with cascades of several sizes have no such grid, and are not shifted.
+      should cover a texel of the map, as seen by the camera.
+    - `shift`: (2,), a shift of the maps' grids of texels, as for `draw_shadow_map`; `None` for no shift. Maps with a
+      warp, with pages or with cascades of several sizes have no such grid, and are not shifted.
     """
 
     arrangement: eqx.AbstractVar[Arrangement]
@@ -82,19 +83,19 @@ class ArrangedProblem(AbstractProblem):
         return blurred(differences, self.blur)
 
     def laid_out(self, subject: Arrangement) -> "ArrangedProblem":
-        """The problem itself: maps are drawn at every step."""
+        """The problem itself, because maps are drawn at every step."""
         return self
 
     @abc.abstractmethod
     def with_memory_of(self, other: Any) -> "ArrangedProblem":
-        """The same problem with as much memory for silhouettes as `other`, a problem of the same kind."""
+        """This problem with as much memory for silhouettes as `other`, a problem of the same kind."""
 
     @property
     def sharpest(self) -> "ArrangedProblem":
-        """The same problem with the blur that locates lights and meshes best once these are nearly in place. It is no
-        wider than the problem's own blur.
+        """This problem with the blur that locates lights and meshes best once they are nearly in place. It is no wider
+        than the problem's own blur.
 
-        A narrower blur does not cancel the error that a texel makes in an outline; a wider one mixes outlines that move
+        A narrower blur does not cancel the error of an outline within a texel. A wider blur mixes outlines that move
         differently.
         """
         texel = widest_texel(self.scene, self.settings.resolution)
@@ -125,7 +126,7 @@ class ArrangedProblem(AbstractProblem):
     def planned_crossings(
         self, casters: Mesh, light: AbstractLight, camera: AbstractCamera, surface: Surface | None, before: int | None
     ) -> int:
-        """Memory for several times the silhouettes of a map, and no less than `before`."""
+        """Memory for several times the silhouettes of a map, and at least `before`."""
         edges, layout = self.edges_of_casters(), self.arrangement.technique.layout
         assert edges is not None
         light = layout.light(light, camera, self.settings.resolution, surface)
@@ -139,16 +140,16 @@ class ArrangedProblem(AbstractProblem):
         return Edges.of(self.scene.casters) if self.edges is None else self.edges
 
     def padded_meshes(self) -> list[Mesh]:
-        """The scene's meshes padded to few sizes, so that problems of like size share compiled programs.
+        """The scene's meshes padded to a few sizes, so that problems of similar size share compiled programs.
 
-        A mesh whose vertices are fitted one by one is not padded: the padding would not move with them.
+        A mesh with individually fitted vertices is not padded, because the padding would not move with them.
         """
         pairs = zip(self.scene.meshes, self.arrangement.meshes, strict=True)
         return [mesh if pose.vertices else mesh.padded() for mesh, pose in pairs]
 
 
 def with_silhouettes(settings: MapSettings) -> MapSettings:
-    """The settings with silhouettes, unless they rule silhouettes out."""
+    """The settings with silhouettes, unless silhouettes are disabled."""
     return dataclasses.replace(settings, silhouettes=settings.silhouettes is not False)
 
 
@@ -156,7 +157,7 @@ def with_silhouettes(settings: MapSettings) -> MapSettings:
 def weighted_difference(
     image: Float[Array, "*n h w"], reference: Float[Array, "*n h w"], weight: Float[Array, "h w"]
 ) -> Float[Array, "*n h w"]:
-    """The image minus the reference, times the square root of each pixel's weight; 0 where the weight is 0."""
+    """The image minus the reference, times the square root of each pixel's weight; 0 if the weight is 0."""
     counts = weight > 0
     root = jnp.sqrt(jnp.where(counts, weight, 1))
     return jnp.where(counts, (image - reference) * root, 0)
@@ -168,8 +169,8 @@ def points_of(meshes: Sequence[Mesh]) -> Float[Array, "n 3"]:
 
 
 def points_for(scene: Scene, technique: ShadowMapping) -> int:
-    """How many shadow points there are within each pixel: more if a pixel is wide in texels of the map, but at most
-    `MOST_SHADOW_POINTS` in all."""
+    """The number of shadow points in each pixel. Pixels that are wide in texels of the map have more, but at most
+    `MOST_SHADOW_POINTS` in total."""
     height, width = scene.camera.resolution
     texel = widest_texel(scene, technique.map.resolution)
     needed = 1 if texel >= _WIDE else _PER_ROW / texel
@@ -178,8 +179,7 @@ def points_for(scene: Scene, technique: ShadowMapping) -> int:
 
 
 def widest_texel(scene: Scene, resolution: Resolution) -> float:
-    """The width of a texel, in pixels, that half of the scene's vertices reach or exceed, under the light with the
-    widest texels."""
+    """The median width of texels at the scene's vertices, in pixels, under the light with the widest texels."""
     points = points_of(scene.meshes)
     return max(float(_texel_in_pixels(light, scene.camera, points, resolution)) for light in scene.lights)
 
@@ -188,7 +188,7 @@ def widest_texel(scene: Scene, resolution: Resolution) -> float:
 def _texel_in_pixels(
     light: AbstractLight, camera: AbstractCamera, points: Float[Array, "n 3"], resolution: Resolution
 ) -> Scalar:
-    """How many pixels wide a map's texel is at half of the points, or more."""
+    """The median width of a map's texels at the points, in pixels."""
 
     def width(view: View, resolution: Resolution) -> Float[Array, " n"]:
         distance = view.distance(points)

@@ -1,8 +1,8 @@
-"""The Gaussian under which images are compared where lights or meshes move.
+"""The Gaussian that blurs compared images if lights or meshes move.
 
-Without it, a shadow that lies farther from its target than its outline is wide has no gradient towards it. The outlines
-of a map are also as soft as its texels, while a reference's outlines are sharp. Without a blur, a fit would take that
-difference for a light in another place.
+Without a blur, a shadow has no gradient towards its target if the distance exceeds the width of its outline. The
+outlines of a map are also as soft as its texels, while a reference's outlines are sharp. Without a blur, a fit would
+interpret this difference as a light at another position.
 """
 
 import itertools
@@ -20,14 +20,15 @@ from ..._types import Scalar
 from ...settings.fit import BLUR, widest_blur
 
 REACH_OF_BLUR = 4
-"""Where the Gaussian is as good as 0, in standard deviations."""
-# About how many times as wide each is as the next. Of point lights over a teapot, a quarter was lost at ten times.
+"""The distance at which the Gaussian is practically 0, in standard deviations."""
+# The approximate ratio of consecutive widths. With a ratio of ten, a quarter of the fits of point lights over a teapot
+# failed.
 _STEP = 3
 
 
 def blurs_of(blurs: Sequence[float] | None, *sides: int) -> tuple[float, ...]:
-    """`blurs`, standard deviations in pixels; if left out, blurs from the widest for images of these `sides` down to
-    `BLUR`.
+    """`blurs`, the standard deviations in pixels. By default, they range from the widest for images of these `sides`
+    down to `BLUR`.
 
     **Raises** `ValueError` unless the blurs fall and the first is no wider than the widest.
     """
@@ -52,10 +53,10 @@ def check_falling(blurs: Sequence[float]) -> None:
 
 @eqx.filter_jit
 def blurred(images: Float[Array, "*n h w"], deviation: Scalar | float) -> Float[Array, "*n h w"]:
-    """Images under a Gaussian of standard `deviation` σ in pixels, 0 or more; 0 beyond their borders.
+    """Images under a Gaussian with the standard `deviation` σ in pixels, 0 or more. Beyond their borders, images are 0.
 
-    Its spectrum at f cycles per pixel is multiplied by the Gaussian's, exp(-2 π² σ² f²): one program serves every
-    σ, in the same time.
+    Its spectrum at f cycles per pixel is multiplied by the Gaussian's, exp(-2 π² σ² f²). One program therefore serves
+    every σ, in the same time.
     """
     height, width = images.shape[-2:]
     # The padding keeps the blur from wrapping around to the opposite border.

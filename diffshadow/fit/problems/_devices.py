@@ -1,4 +1,4 @@
-"""Splits the views of a fit among several devices."""
+"""Divides the views of a fit among several devices."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -16,10 +16,10 @@ _VIEWS = "views"
 
 
 def devices_of(asked: int, *, moves: bool = False) -> int:
-    """How many devices a fit uses if `asked` is the number requested; 0 requests all devices of all processes.
+    """The number of devices for a fit that requests `asked`; 0 requests all devices of all processes.
 
     **Raises** `ValueError` if there are fewer devices, if JAX has several processes and not all devices are used, or
-    for more than one device where lights or meshes move (`moves`).
+    for more than one device if lights or meshes move (`moves`).
     """
     there, processes = jax.device_count(), jax.process_count()
     if asked > there:
@@ -40,7 +40,7 @@ def devices_of(asked: int, *, moves: bool = False) -> int:
 
 
 def spread[T](tree: T, devices: int) -> T:
-    """`tree`, whose arrays have a leading axis for views, with a part of the views on each device."""
+    """`tree`, with a part of the views on each device. Its arrays have a leading axis for views."""
     sharding = NamedSharding(_mesh(devices), P(_VIEWS))
     return jax.tree.map(lambda leaf: jax.device_put(leaf, sharding), tree)
 
@@ -60,7 +60,7 @@ def on_each_device(function: Callable[[Any, Any], Any], shared: Any, views: Any,
     """The results of `function` for `shared` and each device's part of `views`, along a first axis of views."""
     dynamic, static = eqx.partition(shared, eqx.is_array)
     own = lambda shared, views: function(eqx.combine(shared, static), views)
-    # The loops in `function` do not say which of their values are the same on all devices.
+    # The loops in `function` do not declare which of their values are the same on all devices.
     split = jax.shard_map(own, mesh=_mesh(devices), in_specs=(P(), P(_VIEWS)), out_specs=P(_VIEWS), check_vma=False)
     return split(dynamic, views)
 
@@ -72,8 +72,8 @@ def compressed(
 
     **Arguments:** `residuals`, `slopes`: each stack's residuals (n, h, w), and their derivatives (p, n, h, w).
 
-    Each device finds the triangular factor of its own part, so that no device needs the Jacobian of all views (Demmel
-    et al., "Communication-optimal parallel and sequential QR and LU factorizations", SIAM Journal on Scientific
+    Each device computes the triangular factor of its own part, so that no device needs the Jacobian of all views
+    (Demmel et al., "Communication-optimal parallel and sequential QR and LU factorizations", SIAM Journal on Scientific
     Computing 34, 2012).
     """
     found = []
@@ -93,5 +93,5 @@ def _triangle(both: Float[Array, "n h w q"]) -> Float[Array, "k q"]:
 
 
 def _mesh(devices: int) -> Mesh:
-    # JAX finds the shardings of all that follows.
+    # JAX derives the shardings of all later operations.
     return jax.make_mesh((devices,), (_VIEWS,), (AxisType.Auto,), devices=jax.devices()[:devices])

@@ -24,7 +24,7 @@ from ._stack import Atlases, stacked, stacked_order
 Samples = dict[tuple[int, int], tuple[Any, Any]]
 """Problems and their samples, by the problem's id and the number of pixels."""
 
-# The fraction of a sample that is taken from the worst problems.
+# The fraction of a sample that comes from the worst problems.
 _OF_WORST = 0.75
 # Bounds of the factor that corrects a sample's error.
 _MIN_ERROR, _MAX_FACTOR = 1e-10, 4.0
@@ -37,9 +37,9 @@ class Losses(NamedTuple):
     """The losses of a subject.
 
     - `compared`: the error of the compared part of the differences, which a fit minimises; `whole`: the error of all
-        differences.
+      differences.
     - `errors`: (v,), the error of each problem over all differences.
-    - `overflow`: whether silhouettes are missing from a map, and the images wrong.
+    - `overflow`: whether silhouettes are missing from a map, so that the images are wrong.
     """
 
     compared: Scalar
@@ -49,20 +49,20 @@ class Losses(NamedTuple):
 
 
 class Together(NamedTuple):
-    """What one program computes for many images: their losses, and the losses of pixels that are too dark and of pixels
-    that are too light."""
+    """The results of one program for many images: their losses, and the losses of pixels that are too dark and of
+    pixels that are too light."""
 
     losses: Losses
     sides: tuple[Scalar, Scalar]
 
 
 class Joint(eqx.Module):
-    """Problems that share what is fitted, such as one for each view and light.
+    """Problems that share the fitted subject, such as one for each view and light.
 
-    - `subject`: what is fitted.
+    - `subject`: the fitted subject.
     - `problems`: each an `AbstractProblem`, whose own subject is ignored, or a `Stack` of several.
-    - `loss`: the loss of their errors; `own`: a user's loss in its place, if there is one.
-    - `devices`: how many devices evaluate its stacks.
+    - `loss`: the loss of their errors; `own`: a user's loss that replaces it, or `None`.
+    - `devices`: the number of devices that evaluate its stacks.
     """
 
     subject: Any
@@ -79,7 +79,7 @@ class Joint(eqx.Module):
     ) -> "Joint":
         """One problem or several, with the subject of the first.
 
-        **Raises** `ValueError` if there is none, or they are of several kinds; and `TypeError` if `loss` is no loss.
+        **Raises** `ValueError` if there is none, or if they are of several kinds; `TypeError` if `loss` is not a loss.
         """
         each = tuple(problems) if isinstance(problems, Sequence) else (problems,)
         if not each:
@@ -106,7 +106,7 @@ class Joint(eqx.Module):
         return images, any_overflow([overflow for _, overflow in found])
 
     def compared(self, differences: Images) -> Images:
-        """The part of all differences that the fit makes small."""
+        """The part of all differences that the fit minimises."""
         return tuple(each.compared(images) for each, images in zip(self.problems, differences, strict=True))
 
     def rows(self, subject: Any, *, compared: bool = True) -> tuple[list[Float[Array, "n m"]], Overflow]:
@@ -150,8 +150,7 @@ class Joint(eqx.Module):
         return _sides_of(self.loss, _by_sign(self.differences(subject)[0]), self.shares)
 
     def mean_square_error(self, subject: Any) -> Scalar:
-        """The loss of all differences; without a `loss` of its own, the mean square error over all pixels that
-        count."""
+        """The loss of all differences. Without `loss`, the mean square error over all pixels that count."""
         return self.losses(subject).whole
 
     def put(self, parameters: Parameters, values: Float[Array, " p"]) -> "Joint":
@@ -164,12 +163,12 @@ class Joint(eqx.Module):
 
     @property
     def count(self) -> int:
-        """How many pixels of all problems count."""
+        """The number of pixels that count in all problems."""
         return sum(int(np.sum(problem.count)) for problem in self.problems)
 
     def sampled(self, count: int, worst: Collection[int] = (), samples: Samples | None = None) -> "Joint":
-        """The same problems with a sample of about `count` pixels in fits of a technique: as many from each problem, or
-        three quarters of them from the problems at the indices `worst`.
+        """The same problems with a sample of about `count` pixels in fits of a technique. Each problem contributes
+        equally, or three quarters of the pixels come from the problems at the indices `worst`.
 
         **Arguments:** `samples`: the samples taken so far, which are used again.
         """
@@ -182,7 +181,7 @@ class Joint(eqx.Module):
         for seed, (problem, share) in enumerate(zip(self.problems, shares, strict=True)):
             key = id(problem), max(int(count * share), 1)
             if key not in samples:
-                # With the problem, so that its id stays its own.
+                # Stored with the problem, so that no other object gets its id.
                 samples[key] = problem, problem.sampled(key[1], seed)
             taken.append(samples[key][1])
         return dataclasses.replace(self, problems=tuple(taken))
@@ -191,8 +190,8 @@ class Joint(eqx.Module):
         """A sample scaled so that its errors at its subject, under the hard compare, equal the `errors` (v,) of whole
         images.
 
-        A ratio estimate (Cochran, Sampling Techniques, chapter 6): the errors of a sample and of the whole image have
-        nearly the same ratio close by.
+        This is a ratio estimate (Cochran, Sampling Techniques, chapter 6): near the subject, the errors of a sample and
+        of the whole image have nearly the same ratio.
 
         **Arguments:** `atlases` as for `stacked`.
         """
@@ -232,19 +231,19 @@ class Joint(eqx.Module):
         return self.problems[0].moves
 
     def with_compare(self, compare: AbstractCompare) -> "Joint":
-        """With `compare` as the technique's."""
-        # Of the subject alone, which is much smaller than the problems.
+        """The same problems with `compare` as the technique's compare."""
+        # Only the subject changes, which is much smaller than the problems.
         where = lambda subject: self.problems[0].technique_of(subject).compare
         return dataclasses.replace(self, subject=eqx.tree_at(where, self.subject, compare))
 
     def hard(self) -> "Joint":
-        """The same problems with the hard compare, and the loss itself."""
+        """The same problems with the hard compare, and the exact loss."""
         compare = self.technique.compare
         hardened = self.with_compare(compare if isinstance(compare, HardCompare) else HardCompare())
         return hardened.with_loss(self.loss.exact())
 
     def searched(self, path: str) -> bool:
-        """Whether the number at `path` lays out the map, so that it is found by a search rather than by gradient."""
+        """Whether the number at `path` lays out the map, so that it is found by a search instead of a gradient."""
         return self.technique.lays_out(path.removeprefix("technique."))
 
     @property
@@ -262,13 +261,13 @@ class Joint(eqx.Module):
         return self if is_same else found
 
     def each(self, function: Callable[[Any], AbstractProblem]) -> "Joint":
-        """With `function` of each problem."""
+        """The same problems with `function` applied to each problem."""
         return dataclasses.replace(self, problems=tuple(map(function, self.problems)))
 
 
 @eqx.filter_jit
 def _scaled(loss: Loss, difference: Float[Array, "*n h w"], count: Float[Array, "*n"]) -> Float[Array, "m h w"]:
-    """One image or several, as several."""
+    """One image or several images, as several."""
     scaled = loss.signed(difference) / jnp.sqrt(jnp.maximum(count, 1))[..., None, None]
     return scaled.reshape(-1, *scaled.shape[-2:])
 
@@ -352,7 +351,7 @@ def check_problem(joint: Joint, parameters: Parameters) -> None:
         raise ValueError(f"a parameter is named twice in {', '.join(names)}; expected each once")
     annealed = [name for name in names if name.removeprefix("technique.").split(".")[0] == "compare"]
     if annealed:
-        raise ValueError(f"{annealed[0]} cannot be fitted, since the fit itself makes the compare harden; leave it out")
+        raise ValueError(f"{annealed[0]} cannot be fitted, because the fit itself anneals the compare; leave it out")
     for end in (parameters.lower, parameters.upper):
         moved = joint.put(parameters, end)
         _check_allowed("technique", moved.technique)

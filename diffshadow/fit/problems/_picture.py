@@ -1,4 +1,4 @@
-"""Fits to a picture: what is compared is the shaded, antialiased image of a scene."""
+"""Fits to a picture. The shaded, antialiased image of a scene is compared."""
 
 import dataclasses
 
@@ -20,7 +20,8 @@ from .._own_loss import Seen
 from ._abstract import any_overflow
 from ._arranged import ArrangedProblem, points_for, weighted_difference, with_silhouettes
 
-# There is memory for so many times the outlines' pieces at the start. If others need more, phases are repeated.
+# The initial memory for pieces of outlines, as a multiple of the pieces at the start. If more are needed, phases are
+# repeated.
 _MORE_PIECES = 2.0
 
 
@@ -36,9 +37,9 @@ class PictureProblem(ArrangedProblem):
     - `weight`: (h, w), the weight of each pixel: 0 or 1, or in between if the pixel is a mean over several.
     - `encoding`: encoding of the reference. The drawn picture is encoded in the same way. As sRGB, it is clipped to 0
         and 1.
-    - `settings`: how maps are drawn. Only with silhouettes do derivatives see the shadow's outline move.
-    - `surface`: the surface that the camera sees; `None` to draw it again at every step, which is needed if the camera
-        or meshes move or meshes change their colour.
+    - `settings`: how maps are drawn. Derivatives see the shadow's outline move only with silhouettes.
+    - `surface`: the surface that the camera sees; `None` to draw it again at every step. This is necessary if the
+      camera or meshes move, or if meshes change their colour.
     - `plan`: as for `draw_antialiased`; `crossings`: one for each light's map, as for `draw_shadow_map`. `planned`
         finds both.
     - `edges`, `blur`, `shift`, `shadow_points`: as for `PoseProblem`.
@@ -80,19 +81,19 @@ class PictureProblem(ArrangedProblem):
         surface: AntialiasedSurface | None = None,
         points: int | None = None,
     ) -> "PictureProblem":
-        """A scene, against a picture.
+        """A problem that compares a scene with a picture.
 
         **Arguments:**
 
-        - `technique`: its `map` says how maps are drawn; with silhouettes unless it sets them to `False`.
+        - `technique`: its `map` defines how maps are drawn. They have silhouettes unless it sets them to `False`.
         - `picture`: (h, w, 3), as large as the camera's image. Row 0 is the bottom row.
         - `shading`: the scene's shading; by default `Phong()`. Its `intensities` are fitted one by one.
-        - `mask`: (h, w), the pixels that count; all if left out.
-        - `encoding`: encoding of the picture; `exposure`: by how many stops the drawn picture is brightened.
+        - `mask`: (h, w), the pixels that count; by default all.
+        - `encoding`: encoding of the picture; `exposure`: the brightening of the drawn picture in stops.
         - `arrangement`: the start, with its own shading and exposure; by default all values of the scene.
         - `surface`: the surface that the camera sees, if neither the camera nor meshes move and no mesh changes its
-            colour. If left out, the surface is drawn again at every step.
-        - `points`: `shadow_points`; chosen by the width of a texel if left out.
+          colour. Otherwise it is drawn again at every step.
+        - `points`: `shadow_points`; by default chosen from the width of a texel.
 
         **Raises** `ValueError` for a picture of another size, or that is not finite where it counts.
         """
@@ -119,12 +120,12 @@ class PictureProblem(ArrangedProblem):
             settings=with_silhouettes(technique.map),
             surface=surface,
         )
-        # Now rather than in `padded`: edges then need no other numbers.
+        # Now instead of in `padded`, where edges would need other numbers.
         return dataclasses.replace(problem, scene=dataclasses.replace(scene, meshes=problem.padded_meshes()))
 
     @property
     def count(self) -> Float[Array, "3"]:
-        """How many pixels of each channel count."""
+        """The number of pixels that count in each channel."""
         return jnp.broadcast_to(jnp.sum(self.weight), 3)
 
     def difference(self, subject: Arrangement) -> Float[Array, "3 h w"]:
@@ -132,7 +133,7 @@ class PictureProblem(ArrangedProblem):
         return weighted_difference(_channels(self.picture(subject)), _channels(self.reference), self.weight)
 
     def difference_and_overflow(self, subject: Arrangement) -> tuple[Float[Array, "3 h w"], Overflow | None]:
-        """The difference, and a flag instead of an error: whether outlines or silhouettes are missing."""
+        """The difference, and a flag that replaces an error: whether outlines or silhouettes are missing."""
         maps, seen, camera = self.draw(subject, raises=False)
         image = _channels(self.image(maps, seen, camera, subject))
         return weighted_difference(image, _channels(self.reference), self.weight), _overflow(maps, seen)
@@ -154,7 +155,7 @@ class PictureProblem(ArrangedProblem):
     def image(
         self, maps: list[ShadowMap], seen: AntialiasedSurface, camera: AbstractCamera, arrangement: Arrangement
     ) -> Float[Array, "h w 3"]:
-        """The picture of an arrangement whose maps and surface are drawn already."""
+        """The picture of an arrangement whose maps and surface are already drawn."""
         points = _points(seen, camera, self.shadow_points)
         visibility = [
             _over_pixels(seen, arrangement.technique.visibility(each, points), self.shadow_points) for each in maps
@@ -180,8 +181,8 @@ class PictureProblem(ArrangedProblem):
         return maps, seen, camera
 
     def planned(self) -> "PictureProblem":
-        """The same problem with memory for several times the outlines and silhouettes of its arrangement, and at least
-        as much as before."""
+        """This problem with memory for several times the outlines and silhouettes of its arrangement, and at least as
+        much as before."""
         casters, lights, every, camera = _arranged(self.scene, self.arrangement)
         edges, plan, surface = self.edges_of_casters(), self.plan, None
         if self.surface is not None:
@@ -201,15 +202,15 @@ class PictureProblem(ArrangedProblem):
         return dataclasses.replace(planned, crossings=tuple(crossings))
 
     def with_memory_of(self, other: "PictureProblem") -> "PictureProblem":
-        """The same problem with as much memory for outlines and silhouettes as `other`."""
+        """This problem with as much memory for outlines and silhouettes as `other`."""
         return dataclasses.replace(self, plan=other.plan, crossings=other.crossings, edges=other.edges)
 
     def padded(self) -> "PictureProblem":
-        """The problem itself, whose meshes `of` has padded."""
+        """The problem itself, because `of` has padded its meshes."""
         return self
 
 
-# These are compiled on their own, so that a drawing outside of `jit` shares programs with all others.
+# These are compiled separately, so that a drawing outside of `jit` shares programs with all others.
 @eqx.filter_jit
 def _points(seen: AntialiasedSurface, camera: AbstractCamera, count: int) -> Surface:
     return seen.surface if count == 1 else seen.with_points_within(camera, count)
@@ -238,7 +239,7 @@ def _channels(image: Float[Array, "h w 3"]) -> Float[Array, "3 h w"]:
 
 @eqx.filter_jit
 def _arranged(scene: Scene, arrangement: Arrangement) -> tuple[Mesh, list[AbstractLight], Mesh, AbstractCamera]:
-    """What casts, the lights, all meshes, and the camera, as they are arranged."""
+    """The casters, the lights, all meshes, and the camera, as they are arranged."""
     placed = arrangement.placed(scene)
     return placed.casters, list(placed.lights), placed.mesh, placed.camera
 

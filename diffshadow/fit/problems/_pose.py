@@ -1,4 +1,4 @@
-"""Fits of lights and meshes: the map, and if need be the surface, are drawn again at every step."""
+"""Fits of lights and meshes. The map is drawn again at every step, and also the surface if necessary."""
 
 import dataclasses
 
@@ -27,18 +27,18 @@ class PoseProblem(ArrangedProblem):
     - `index`: the number of this light in the arrangement.
     - `reference`: (h, w), visibility in [0, 1], times `cone_fraction`.
     - `weight`: (h, w), the weight of each pixel: 0 or 1, or in between if the pixel is a mean over several.
-    - `settings`: how the map is drawn. Only with silhouettes do derivatives see the shadow's outline move.
-    - `surface`: the surface that the camera sees; `None` to draw it again at every step, which is needed if visible
-        meshes move.
+    - `settings`: how the map is drawn. Derivatives see the shadow's outline move only with silhouettes.
+    - `surface`: the surface that the camera sees; `None` to draw it again at every step. This is necessary if visible
+      meshes move.
     - `crossings`: as for `draw_shadow_map`; `planned` finds it.
     - `edges`: edges of the casters. `planned` finds them if the settings ask for silhouettes.
     - `blur`: standard deviation, in pixels, of the Gaussian under which differences are compared; 0 for none. The blur
         should cover a texel of the map, as seen by the camera.
     - `shift`: (2,), a shift of the map's grid of texels, as for `draw_shadow_map`; `None` for no shift. Maps with a
         warp, with pages or with cascades of several sizes have no such grid, and are not shifted.
-    - `shadow_points`: visibility is the mean over so many points within each pixel. The constructor `of` chooses more
-        points if pixels are wide in texels of the map. If an outline is narrower than a pixel, most pixels along it
-        have no derivative at their centre.
+    - `shadow_points`: the number of points within each pixel. Visibility is the mean over these points. The constructor
+      `of` chooses more points if pixels are wide in texels of the map. If an outline is narrower than a pixel, most
+      pixels along it have no derivative at their centre.
 
     !!! Example
 
@@ -73,18 +73,18 @@ class PoseProblem(ArrangedProblem):
         surface: Surface | None = None,
         points: int | None = None,
     ) -> "PoseProblem":
-        """A scene under one of its lights, against that light's reference.
+        """A problem that compares a scene under one of its lights with the light's reference.
 
         **Arguments:**
 
-        - `technique`: its `map` says how the map is drawn; with silhouettes unless it sets them to `False`.
-        - `truth`: the reference of `scene.lit_by(light)`. A traced reference is multiplied by `cone_fraction`, since
-            rays ignore the cone of a spot light.
-        - `light`: which of the scene's lights.
+        - `technique`: its `map` defines how the map is drawn. It has silhouettes unless it sets them to `False`.
+        - `truth`: the reference of `scene.lit_by(light)`. A traced reference is multiplied by `cone_fraction`, because
+          rays ignore the cone of a spot light.
+        - `light`: the index of the light in the scene.
         - `arrangement`: the start; by default `technique` with the lights and meshes of the scene.
-        - `surface`: the surface that the camera sees, if no visible mesh moves. If left out, the surface is drawn again
-            at every step.
-        - `points`: `shadow_points`; chosen by the width of a texel if left out.
+        - `surface`: the surface that the camera sees, if no visible mesh moves. Otherwise it is drawn again at every
+          step.
+        - `points`: `shadow_points`; by default chosen from the width of a texel.
         """
         lit = scene.lit_by(light)
         reference = as_float(truth.visibility)
@@ -118,13 +118,13 @@ class PoseProblem(ArrangedProblem):
         return self._difference(subject, *self.draw(subject))
 
     def difference_and_overflow(self, subject: Arrangement) -> tuple[Float[Array, "h w"], Overflow | None]:
-        """The difference, and a flag instead of an error: whether silhouettes are missing from the map."""
+        """The difference, and a flag that replaces an error: whether silhouettes are missing from the map."""
         shadow_map, surface = self.draw(subject, raises=False)
         return self._difference(subject, shadow_map, surface), shadow_map.overflow
 
     def seen(self, subject: Arrangement) -> tuple[Seen, Overflow | None]:
-        """The image that a user's loss compares, and a flag instead of an error: whether silhouettes are missing from
-        the map."""
+        """The image that a user's loss compares, and a flag that replaces an error: whether silhouettes are missing
+        from the map."""
         shadow_map, surface = self.draw(subject, raises=False)
         image = self.image(shadow_map, surface, subject.technique)
         return _seen(image, self.reference, self.weight), shadow_map.overflow
@@ -140,7 +140,7 @@ class PoseProblem(ArrangedProblem):
         return self.draw_map(casters, light, camera, technique, surface, self.crossings, raises=raises), surface
 
     def planned(self) -> "PoseProblem":
-        """The same problem with memory for several times the silhouettes of its arrangement, and at least as much as
+        """This problem with memory for several times the silhouettes of its arrangement, and at least as much as
         before."""
         edges, camera = self.edges_of_casters(), self.scene.camera
         if edges is None:
@@ -153,11 +153,11 @@ class PoseProblem(ArrangedProblem):
         return dataclasses.replace(self, crossings=crossings, edges=edges)
 
     def with_memory_of(self, other: "PoseProblem") -> "PoseProblem":
-        """The same problem with as much memory for silhouettes as `other`."""
+        """This problem with as much memory for silhouettes as `other`."""
         return dataclasses.replace(self, crossings=other.crossings, edges=other.edges)
 
     def padded(self) -> "PoseProblem":
-        """The same problem with its meshes padded to a few sizes, so that problems of similar size share compiled
+        """This problem with its meshes padded to a few sizes, so that problems of similar size share compiled
         programs."""
         own, meshes = self.scene.meshes, self.padded_meshes()
         scene = dataclasses.replace(self.scene, meshes=meshes)
@@ -165,7 +165,7 @@ class PoseProblem(ArrangedProblem):
             return dataclasses.replace(self, scene=scene)
         casts = self.scene.casts or [True] * len(own)
         sizes = lambda of: [(len(of(a)), len(of(b))) for a, b, c in zip(own, meshes, casts, strict=True) if c]
-        # Where the casters' own vertices and faces are among the padded ones.
+        # The indices of the casters' own vertices and faces among the padded ones.
         places = lambda of: np.flatnonzero(np.concatenate([np.arange(full) < some for some, full in sizes(of)]))
         edges = self.edges.renumbered(places(lambda mesh: mesh.vertices), places(lambda mesh: mesh.faces))
         return dataclasses.replace(self, scene=scene, edges=edges.padded(len(scene.casters.faces)))
@@ -175,10 +175,10 @@ class PoseProblem(ArrangedProblem):
         return weighted_difference(image, self.reference, self.weight)
 
 
-# These are compiled on their own, so that a drawing outside of `jit` shares programs with all others.
+# These are compiled separately, so that a drawing outside of `jit` shares programs with all others.
 @eqx.filter_jit
 def _arranged(scene: Scene, arrangement: Arrangement, index: int) -> tuple[Mesh, AbstractLight, Mesh]:
-    """What casts, the light, and all meshes, as they are arranged."""
+    """The casters, the light, and all meshes, as they are arranged."""
     meshes = [pose.placed(mesh) for pose, mesh in zip(arrangement.meshes, scene.meshes, strict=True)]
     light = scene.light.at(arrangement.lights[index]).refitted(points_of(meshes))
     return dataclasses.replace(scene, meshes=meshes).casters, light, merge(meshes)

@@ -21,22 +21,22 @@ from ._aligned import Receivers
 from ._blur import blurred
 from ._pose import cone_fraction
 
-# How far a mirrored vertex may be from its partner, as a fraction of the mesh's longest side.
+# The maximum distance between a mirrored vertex and its partner, as a fraction of the mesh's longest side.
 _SAME_PLACE = 1e-5
-# Silhouettes cross far fewer sides of texels than this multiple of the map's height and width. Only tangled meshes
-# have more.
+# The maximum number of texel sides that silhouettes cross, as a multiple of the map's height and width. Only tangled
+# meshes exceed it.
 _CROSSINGS_PER_SIDE = 8
 
 
 class ShapeView(eqx.Module):
-    """A shadow of a shape: the light, the surface that the shadow falls on, and how it should look there.
+    """A shadow of a shape: the light, the surface that receives the shadow, and the desired image there.
 
-    - `light`: its shadow map must contain the shape during the whole fit, since its frustum does not move.
-    - `moves`: whether the light's position and direction are fitted too. Some of the views' lights should be fixed,
-        since a shape and all of its lights can be turned and stretched together without a change of the shadows.
-    - `surface`: (h, w), where the shadow falls. It does not move, and casts no shadow itself.
+    - `light`: its shadow map must contain the shape during the whole fit, because its frustum does not move.
+    - `moves`: whether the light's position and direction are fitted too. Some of the views' lights should be fixed. A
+      shape and all of its lights can be rotated and stretched together without a change of the shadows.
+    - `surface`: (h, w), the receiver. It does not move, and casts no shadow itself.
     - `reference`: (h, w), visibility in [0, 1]: 1 lit, 0 shadowed.
-    - `weight`: (h, w), how much each pixel counts, 0 or more.
+    - `weight`: (h, w), the weight of each pixel, 0 or more.
     """
 
     light: AbstractLight
@@ -48,10 +48,10 @@ class ShapeView(eqx.Module):
     def __init__(
         self, light: AbstractLight, surface: Surface, reference: Any, weight: Any = None, *, moves: Any = False
     ):
-        """**Arguments:** `weight`: by default 1 for pixels with a surface. Others never count.
+        """**Arguments:** `weight`: by default 1 for pixels with a surface. Other pixels never count.
 
-        **Raises** `ValueError` for a reference or a weight of another size than the surface, or that is not finite;
-        for a reference without a shadow in the pixels that count, or none that count.
+        **Raises** `ValueError` for a reference or a weight that is not finite or has another size than the surface; for
+        a reference without a shadow in the pixels that count; and if no pixel counts.
         """
         mask = np.asarray(surface.mask)
         image = np.asarray(reference, float)
@@ -85,18 +85,18 @@ class ShapeView(eqx.Module):
 
 
 class ShapeProblem(eqx.Module):
-    """A mesh whose vertices are fitted, so that its shadows are like several images.
+    """A mesh whose vertices are fitted to bring its shadows close to several images.
 
     - `mesh`: the start: all casters, closed or open. Vertices at the same position must be merged into one.
     - `views`: its shadows.
-    - `free`: (v,), whether each vertex moves; all if left out. Fixed vertices may be a pinned base, or other casters.
+    - `free`: (v,), whether each vertex moves; by default all. Fixed vertices may be a pinned base, or other casters.
     - `symmetry`: (a, b, c, d), a plane a x + b y + c z = d. The shape remains symmetric across this plane. The start
-        must be symmetric too.
+      must be symmetric too.
     - `technique`: how shadows are drawn. Its map has silhouettes, which give vertices their derivatives. By default, an
-        image's pixel is the mean over one texel of a map of the first reference's size.
+      image's pixel is the mean over one texel of a map with the first reference's size.
 
     **Raises** `ValueError` if there is no view, if vertices have the same position, if no vertex is free, if the mesh
-    is not its own mirror image, or for a technique whose layout is not a single map.
+    is not symmetric, or for a technique whose layout is not a single map.
     """
 
     mesh: Mesh
@@ -131,7 +131,8 @@ class ShapeProblem(eqx.Module):
         _check_technique(self.technique)
         if not np.array_equal(share_vertices(self.mesh), np.asarray(self.mesh.faces)):
             raise ValueError(
-                "several of the mesh's vertices are at one place, and would move apart; expected one vertex at each: "
+                "several of the mesh's vertices are at the same position, and would move apart; expected one vertex "
+                "at each position: "
                 "call geometry.weld on its vertices and faces"
             )
         if self.symmetry is not None:
@@ -147,7 +148,7 @@ def default_technique(resolution: Resolution) -> ShadowMapping:
 def _check_technique(technique: ShadowMapping) -> None:
     if not technique.map.silhouettes:
         raise ValueError(
-            "the technique's map has no silhouettes, so that vertices have no derivative; expected "
+            "the technique's map has no silhouettes, so vertices have no derivative; expected "
             "MapSettings(..., silhouettes=True)"
         )
     if not isinstance(technique.layout, SingleMap):
@@ -170,8 +171,8 @@ def mirror_partners(vertices: Float[HostArray, "v 3"], plane: tuple[float | int,
     size = np.ptp(vertices, axis=0).max()
     if far.max() > _SAME_PLACE * size or not np.array_equal(partner[partner], np.arange(len(vertices))):
         raise ValueError(
-            f"the mesh is no mirror image of itself at {normal.tolist()} · x = {offset:g}: vertex {far.argmax()} is "
-            f"{far.max():.3g} world units from its partner's place; expected a start with this symmetry, such as a "
+            f"the mesh is not symmetric across {normal.tolist()} · x = {offset:g}: vertex {far.argmax()} is "
+            f"{far.max():.3g} world units from its partner's position; expected a start with this symmetry, such as a "
             "sphere about a point of the plane"
         )
     return partner
@@ -184,14 +185,14 @@ def mirrored(vertices: Float[HostArray, "v 3"], plane: tuple[float | int, ...]) 
 
 
 class Evaluation(NamedTuple):
-    """The loss of a shape, and what a fit needs beside it.
+    """The loss of a shape, and additional values for a fit.
 
     - `loss`: the mean over all views of their mean square differences under the blur.
     - `gradient`: (v, 3), with respect to the vertices; `by_lights`: for each group of views, with respect to the poses
-        of their lights, along a first axis; none if no light moves.
+      of their lights, along a first axis; `None` if no light moves.
     - `images`: for each group of views, (n, h, w), their visibilities.
-    - `crossings`: the most sides of texels that the silhouettes in a map cross. If there are more crossings than there
-        was memory for, all of these results are wrong.
+    - `crossings`: the maximum number of texel sides that the silhouettes in a map cross. If there are more crossings
+      than memory, all of these results are wrong.
     """
 
     loss: Scalar
@@ -217,11 +218,11 @@ def evaluate(
 
     **Arguments:**
 
-    - `groups`: views of one structure, with a leading axis. The views are scanned, each with its own reverse pass, so
-        that only one view's program is compiled for a group, and memory is needed for one view only.
-    - `receivers`: the receivers of groups whose pixels are their maps' texels.
-    - `poses`: the poses of their lights, with a leading axis too; none if all lights are where the views have them.
-    - `crossings`: the number of crossings, of silhouettes with the sides of texels, for which there is memory.
+    - `groups`: views of one structure, with a leading axis. The views are scanned, each with its own reverse pass. A
+      group therefore needs the program and the memory of a single view.
+    - `receivers`: the receivers of groups whose pixels coincide with their maps' texels.
+    - `poses`: the poses of their lights, also with a leading axis; `None` if no light moves.
+    - `crossings`: the memory for crossings of silhouettes with the sides of texels, as a number of crossings.
     """
     count = sum(group.reference.shape[0] for group in groups)
 
@@ -252,7 +253,7 @@ def evaluate(
 
 
 def _mesh(vertices: Vertices, faces: Faces) -> Mesh:
-    """A mesh whose normals and albedo are 0, since shadows do not depend on them."""
+    """A mesh whose normals and albedo are 0, because shadows do not depend on them."""
     none = jnp.zeros((faces.shape[0], 3, 3), vertices.dtype)
     return Mesh(vertices, faces, none, none[:, 0])
 
@@ -260,7 +261,7 @@ def _mesh(vertices: Vertices, faces: Faces) -> Mesh:
 class Sight(NamedTuple):
     """The pixels of a view's screen that its light sees. Arrays have a first axis for several views.
 
-    - `reached`: (h, w), pixels that count, lie in the light's map, and are turned to it.
+    - `reached`: (h, w), pixels that count, are in the light's map, and face the light.
     - `towards`: (h, w, 3), vectors to the light.
     - `receivers`: the pixels in the light's map.
     """

@@ -1,4 +1,4 @@
-"""Problems of one structure as one, so that programs do not grow with their number."""
+"""Combines problems of one structure, so that programs do not grow with their number."""
 
 import dataclasses
 import math
@@ -20,12 +20,12 @@ from ._abstract import AbstractProblem
 from ._devices import on_each_device, spread
 from ._technique import TechniqueProblem
 
-# The most pixels of images that are evaluated at once, on a CPU and on a GPU.
+# The maximum number of pixels that are evaluated at once, on a CPU and on a GPU.
 _AT_ONCE = 1 << 14, 1 << 19
-# The most texels of an atlas, whose indices are 32-bit numbers, and the most atlases that are kept: a fit of a layout
-# draws its maps again and again.
+# The maximum number of texels of an atlas, whose indices are 32-bit numbers, and the maximum number of stored atlases,
+# because a fit of a layout often draws its maps again.
 _MAX_TEXELS, _MAX_ATLASES = (1 << 31) - 1, 4
-# In bytes, of the arrays that JAX does not copy from the host's memory.
+# In bytes, for arrays that JAX does not copy from the host's memory.
 _ALIGNMENT = 64
 
 
@@ -34,14 +34,14 @@ Atlases = dict[tuple[int, ...], tuple[Atlas, Any]]
 
 
 class Stack(eqx.Module):
-    """Fits of a technique to several images, evaluated a few at a time by one program.
+    """Fits of a technique to several images, which one program evaluates a few at a time.
 
     - `problems`: one problem whose arrays have a leading axis for the images.
-    - `atlas`, `numbers`: an atlas of their maps, and each map's number in it, (n,), if the maps can be in an atlas. The
-        problems then hold no depths.
-    - `surfaces`, `sights`: the number of each image's surface, (n,), if images share surfaces. The problems then hold
-        none.
-    - `devices`: on how many devices the problems are divided. The atlas then has a leading axis for the devices.
+    - `atlas`, `numbers`: an atlas of their maps, and each map's index in it, (n,), if the maps can be in an atlas. The
+      problems then have no depths.
+    - `surfaces`, `sights`: the distinct surfaces, and the index of each image's surface, (n,), if images share
+      surfaces. The problems then have no surfaces.
+    - `devices`: the number of devices that share the problems. The atlas then has a leading axis for the devices.
     """
 
     problems: TechniqueProblem
@@ -53,7 +53,7 @@ class Stack(eqx.Module):
 
     @classmethod
     def of(cls, problems: Sequence[TechniqueProblem], atlas: Atlas | None, numbers: Sequence[int]) -> "Stack":
-        """Stacks problems of one structure, whose maps have these `numbers` in the atlas."""
+        """Stacks problems of one structure. Their maps have these `numbers` in the atlas."""
         surfaces, sights = _distinct([problem.surface for problem in problems])
         if atlas is not None:
             problems = _without_depths(problems)
@@ -65,28 +65,28 @@ class Stack(eqx.Module):
 
     @classmethod
     def on(cls, devices: int, problems: Sequence[TechniqueProblem]) -> "Stack":
-        """Stacks problems of one structure, with as many on each of the `devices`."""
+        """Stacks problems of one structure, with equal numbers on each of the `devices`."""
         each = len(problems) // devices
         parts = [problems[start : start + each] for start in range(0, len(problems), each)]
         maps: Any = [_distinct([p.shadow_map for p in part]) for part in parts]
         most = max(len(own) for own, _ in maps)
         if not _has_atlas(problems[0].shadow_map, most):
             return cls(spread(together(problems), devices), devices=devices)
-        # As many maps on each device.
+        # An equal number of maps on each device.
         atlas = together([Atlas.of([*own, *own[:1] * (most - len(own))]) for own, _ in maps])
         numbers = [number for _, numbers in maps for number in numbers]
         return cls(*spread((together(_without_depths(problems)), atlas, as_int(numbers)), devices), devices=devices)
 
     def difference_and_overflow(self, subject: Any) -> tuple[Float[Array, "n h w"], None]:
-        """The differences of all problems. Nothing is drawn that could overflow."""
+        """The differences of all problems. Nothing that could overflow is drawn."""
         return self._of_each(lambda subject, problem: problem.difference(subject), subject), None
 
     def seen(self, subject: Any) -> tuple[Seen, None]:
-        """What a user's loss compares. Nothing is drawn that could overflow."""
+        """The images that a user's loss compares. Nothing that could overflow is drawn."""
         return self._of_each(lambda subject, problem: problem.seen(subject)[0], subject), None
 
     def _of_each(self, function: Callable[[Any, TechniqueProblem], Any], subject: Any) -> Any:
-        """What `function` makes of the subject and each problem with its map, along a first axis."""
+        """The result of `function` for the subject and each problem with its map, along a first axis."""
         if self.devices == 1:
             return self._of_own(function, subject)
 
@@ -99,7 +99,7 @@ class Stack(eqx.Module):
 
     def _of_own(self, function: Callable[[Any, TechniqueProblem], Any], subject: Any) -> Any:
         images, *sides = self.problems.reference.shape
-        # Several small ones keep all cores busy, and none is left over, which would be a second program.
+        # Several small groups keep all cores busy. No remainder is left, which would need a second program.
         most = max(chunk_size(*_AT_ONCE) // math.prod(sides), 1)
         at_once = max(k for k in range(1, min(most, images) + 1) if images % k == 0)
 
@@ -120,23 +120,23 @@ class Stack(eqx.Module):
 
     @property
     def moves(self) -> bool:
-        """False: maps and surfaces stay."""
+        """Always false, because maps and surfaces do not change."""
         return False
 
     @property
     def count(self) -> Float[Array, " n"]:
-        """How many pixels count in each image."""
+        """The number of pixels that count in each image."""
         return jax.vmap(lambda problem: problem.count)(self.problems)
 
 
 def stacked(problems: Sequence[AbstractProblem], atlases: Atlases, devices: int) -> tuple[AbstractProblem | Stack, ...]:
-    """Stacks fits of a technique that have the same structure; all other problems stay as they are.
+    """Stacks fits of a technique that have the same structure. All other problems are returned unchanged.
 
     **Arguments:**
 
     - `atlases`: the atlases made so far, which are used again.
-    - `devices`: how many devices evaluate a part of each stack. The remaining problems form a stack that all devices
-        evaluate.
+    - `devices`: the number of devices that evaluate a part of each stack. The remaining problems form a stack that all
+      devices evaluate.
     """
     alone = tuple(problem for problem in problems if not isinstance(problem, TechniqueProblem))
     own = [problem for problem in problems if isinstance(problem, TechniqueProblem)]
@@ -146,12 +146,13 @@ def stacked(problems: Sequence[AbstractProblem], atlases: Atlases, devices: int)
 
 
 def stacked_order(problems: Sequence[AbstractProblem]) -> list[int]:
-    """The indices of fits of a technique in the order in which `stacked` has them."""
+    """The indices of fits of a technique in the order of `stacked`."""
     return [number for group in _numbers_of_one_structure(problems) for number in group]
 
 
 def copied_bytes(problems: Sequence[TechniqueProblem]) -> int:
-    """The bytes that stacks of the problems copy: images, each surface once, and maps that cannot be in an atlas."""
+    """The size of the arrays that stacks of the problems copy, in bytes: images, each surface once, and maps that
+    cannot be in an atlas."""
     surfaces, _ = _distinct([problem.surface for problem in problems])
     images = [(problem.reference, problem.mask) for problem in problems]
     maps = [p.shadow_map for p in problems if not (_is_plain(p.shadow_map) or isinstance(p.shadow_map, StoredMap))]
@@ -170,12 +171,12 @@ def _stacks(
 
 
 def _has_atlas(shadow_map: Any, count: int) -> bool:
-    """Whether so many maps like this one may be in an atlas."""
+    """Whether this many maps like this one may be in an atlas."""
     return _is_plain(shadow_map) and Atlas.size(count, shadow_map.depth.shape) <= _MAX_TEXELS
 
 
 def _stack(group: Sequence[TechniqueProblem], among: Sequence[TechniqueProblem], atlases: Atlases) -> Stack:
-    """The stack of a group, which shares an atlas with all problems whose maps have its size."""
+    """The stack of a group. It shares an atlas with all problems whose maps have the same size."""
     like = group[0].shadow_map
     stored = [problem.shadow_map for problem in group if isinstance(problem.shadow_map, StoredMap)]
     if stored:
@@ -185,7 +186,7 @@ def _stack(group: Sequence[TechniqueProblem], among: Sequence[TechniqueProblem],
         return Stack.of(group, None, [])
     numbers = {key: number for number, key in enumerate(maps)}
     if tuple(maps) not in atlases:
-        # With the maps, so that their ids stay their own.
+        # Stored with the maps, so that no other objects get their ids.
         atlases[tuple(maps)] = Atlas.of([*maps.values()]), maps
         while len(atlases) > _MAX_ATLASES:
             atlases.pop(next(iter(atlases)))
@@ -194,7 +195,7 @@ def _stack(group: Sequence[TechniqueProblem], among: Sequence[TechniqueProblem],
 
 
 def _distinct[T](things: Sequence[T]) -> tuple[list[T], list[int]]:
-    """The objects that are not the same, and the place of each of `things` among them."""
+    """The distinct objects, and the index of each of `things` among them."""
     found = {id(each): each for each in things}
     places = {key: place for place, key in enumerate(found)}
     return list(found.values()), [places[id(each)] for each in things]
@@ -206,7 +207,7 @@ def _without_depths(problems: Sequence[TechniqueProblem]) -> list[TechniqueProbl
 
 
 def _fits(shadow_map: Any, like: Any) -> bool:
-    """Whether a map may be in one atlas with another."""
+    """Whether two maps may share an atlas."""
     return _is_plain(shadow_map) and shadow_map.depth.shape == like.depth.shape
 
 
@@ -215,8 +216,8 @@ def _is_plain(shadow_map: Any) -> bool:
 
 
 def of_one_structure[P](problems: Sequence[P]) -> list[list[P]]:
-    """The problems, or other modules with a `reference`, in groups whose arrays have equal shapes, large images
-    first. Of maps in atlases, each group has one atlas."""
+    """Groups of problems, or of other modules with a `reference`, whose arrays have equal shapes. Large images come
+    first. Each group uses at most one atlas."""
     return [[problems[number] for number in group] for group in _numbers_of_one_structure(problems)]
 
 
@@ -227,19 +228,19 @@ def _numbers_of_one_structure(problems: Sequence[Any]) -> list[list[int]]:
         own = getattr(problem, "shadow_map", None)
         atlas = id(own.atlas.texels) if isinstance(own, StoredMap) else None
         groups.setdefault((structure, atlas, *((leaf.shape, leaf.dtype) for leaf in leaves)), []).append(number)
-    # In one order, whichever problem comes first: programs depend on it.
+    # The order does not depend on which problem comes first, because programs depend on it.
     return sorted(groups.values(), key=lambda group: -problems[group[0]].reference.size)
 
 
 def together[P](problems: Sequence[P]) -> P:
-    """One module whose arrays have a leading axis for the images. `Rows` in their order are not copied."""
+    """One module whose arrays have a leading axis for the images. `Rows` in order are not copied."""
     return jax.tree.map(lambda *leaves: as_array(stack_of([np.asarray(leaf) for leaf in leaves])), *problems)
 
 
 class Rows:
-    """Room on the host for modules of one structure. `together` copies none of those that were put there in turn.
+    """Host memory for modules of one structure. `together` does not copy modules that were added in order.
 
-    - `count`: the most that there may be.
+    - `count`: the maximum number of modules.
     """
 
     def __init__(self, count: int):
@@ -247,7 +248,8 @@ class Rows:
         self._taken = 0
 
     def put[P](self, module: P) -> P:
-        """The module with its arrays here, or the module itself if its arrays have other shapes than the first's."""
+        """The module with its arrays in this memory, or the module itself if its arrays have other shapes than the
+        first module's."""
         leaves, structure = jax.tree.flatten(module)
         if not self._taken:
             self._whole = [_aligned((self.count, *leaf.shape), leaf.dtype) for leaf in leaves]
@@ -267,12 +269,12 @@ def _aligned(shape: tuple[int, ...], dtype: Any) -> np.ndarray:
 
 
 def stack_of(rows: Sequence[np.ndarray]) -> np.ndarray:
-    """The arrays along a first axis: without a copy if they are `Rows` in their order."""
+    """The arrays along a first axis, without a copy if they are `Rows` in order."""
     first = rows[0]
     base, start = first.base, first.ctypes.data
     follows = lambda i, row: row.base is base and row.ctypes.data == start + i * first.nbytes
     fits = lambda row: row.flags.c_contiguous and (row.shape, row.dtype) == (first.shape, first.dtype)
     if isinstance(base, np.ndarray) and all(fits(row) and follows(i, row) for i, row in enumerate(rows)):
         return np.ndarray((len(rows), *first.shape), first.dtype, base, start - base.ctypes.data)
-    # In NumPy, which dispatches nothing for each of the many small arrays.
+    # NumPy dispatches nothing for each of the many small arrays.
     return np.stack(rows)

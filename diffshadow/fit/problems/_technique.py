@@ -1,4 +1,4 @@
-"""Fits of a technique alone: the map and the surface are drawn once."""
+"""Fits of a technique alone. The map and the surface are drawn once."""
 
 import dataclasses
 
@@ -19,20 +19,20 @@ from .._own_loss import Seen
 from .._parameters import parameter_names, resolve
 from ._abstract import AbstractProblem
 
-# The side of a tile of pixels: a multiple of the side of most patterns of taps.
+# The side of a tile of pixels, a multiple of the side of most patterns of taps.
 _TILE = 16
 
 
 class TechniqueProblem(AbstractProblem):
     """A technique, its target, and everything that the fit does not change.
 
-    - `technique`: whose numbers are fitted.
+    - `technique`: the technique whose numbers are fitted.
     - `shadow_map`, `surface`: the inputs of the technique. Neither depends on bias or filter. The map is drawn again
         only if a number of its layout is fitted.
     - `reference`: (h, w), visibility in [0, 1].
     - `mask`: (h, w), the pixels that count.
     - `scene`: a scene with one light; needed only if a number of the map's layout is fitted.
-    - `weight`: how many pixels each pixel represents, one number or (h, w); more than 1 in a sample of the pixels.
+    - `weight`: the number of pixels that each pixel represents, one number or (h, w); more than 1 in a sample.
     - `factor`: a factor of all squared differences; in a sample, it corrects their sum.
 
     !!! Example
@@ -55,13 +55,13 @@ class TechniqueProblem(AbstractProblem):
     def of(
         cls, scene: Scene, technique: FittableTechnique, truth: Reference, *, surface: Surface | None = None
     ) -> "TechniqueProblem":
-        """A problem of `technique` in a scene with one light, against the reference of this scene.
+        """A problem that compares `technique` in a scene with one light with the reference of this scene.
 
-        The pixels that count are those where the reference has a surface that lies within the light's frustum.
+        A pixel counts if the reference has a surface there and the surface is within the light's frustum.
 
         **Arguments:**
 
-        - `surface`: the surface that the camera sees; drawn if left out.
+        - `surface`: the surface that the camera sees; by default it is drawn.
         """
         check_instance("the truth", truth, Reference, "a Reference, such as trace_visibility(scene)")
         surface = draw_surface(scene.mesh, scene.camera) if surface is None else surface
@@ -95,7 +95,7 @@ class TechniqueProblem(AbstractProblem):
         return subject.visibility(own.whole() if isinstance(own, StoredMap) else own, self.surface)
 
     def seen(self, subject: FittableTechnique) -> tuple[Seen, None]:
-        """What a user's loss compares. Nothing can overflow, since nothing is drawn."""
+        """The images that a user's loss compares. Nothing that could overflow is drawn."""
         return _seen(self._visibility(subject), self.reference, self.mask), None
 
     def compared(self, differences: Float[Array, "n h w"]) -> Float[Array, "n h w"]:
@@ -107,9 +107,9 @@ class TechniqueProblem(AbstractProblem):
         return subject
 
     def laid_out(self, subject: FittableTechnique) -> "TechniqueProblem":
-        """The same problem with the map that `subject` draws, if it differs. The pixels that count are the same.
+        """This problem with the map that `subject` draws, if it differs. The pixels that count are the same.
 
-        **Raises** `ValueError` if there is no scene to draw it from, or the technique does not suit it.
+        **Raises** `ValueError` if there is no scene to draw it from, or if the technique does not suit it.
         """
         numbers = lambda technique: [
             resolve(technique, name) for name in parameter_names(technique) if technique.lays_out(name)
@@ -124,17 +124,17 @@ class TechniqueProblem(AbstractProblem):
         return dataclasses.replace(self, technique=subject, shadow_map=subject.prepare(self.scene, self.surface))
 
     def planned(self) -> "TechniqueProblem":
-        """The problem itself: nothing is drawn again."""
+        """The problem itself, because nothing is drawn again."""
         return self
 
     def sampled(self, count: int, seed: int) -> "TechniqueProblem":
-        """The same problem with about `count` of the pixels that count, and at least one for each place in a tile of
+        """This problem with about `count` of the pixels that count, and at least one for each position in a tile of
         `_TILE` x `_TILE`.
 
-        A pixel keeps its place in the tile, and so its taps, unless the filter's pattern is rotated at each pixel or
-        its tile does not divide these. For each place, the pixels in the image's order are divided into runs of equal
-        length, and one pixel is drawn at random from each run. Each pixel represents its run, so the expected mean
-        square error equals the error of the whole image. If fewer pixels count, all of them are kept.
+        A pixel keeps its position in the tile, and so its taps, unless the filter rotates its pattern at each pixel or
+        its tile does not divide these. For each position, the pixels in the image's order are divided into runs of
+        equal length, and one pixel is drawn at random from each run. Each pixel represents its run, so the expected
+        mean square error equals the error of the whole image. If fewer pixels count, all of them are used.
         """
         runs, places = _runs(count / _TILE**2), _TILE**2
         counting = np.flatnonzero(np.asarray(self.mask))
@@ -142,7 +142,7 @@ class TechniqueProblem(AbstractProblem):
         place = y % _TILE * _TILE + x % _TILE
         sizes = np.bincount(place, minlength=places)[:, None]
         taken = np.minimum(sizes, runs)
-        # Pixels of a place follow one another; the last entry is for places without any.
+        # Pixels with the same position follow one another. The last entry is for positions without any.
         sorted_by_place = np.append(counting[np.argsort(place, kind="stable")], 0)
         ends = np.arange(runs + 1) * sizes // np.maximum(taken, 1)
         lengths = np.diff(ends)
@@ -162,12 +162,12 @@ class TechniqueProblem(AbstractProblem):
         )
 
     def padded(self) -> "TechniqueProblem":
-        """The same problem without the scene, which no program reads."""
+        """This problem without the scene, which no program reads."""
         return dataclasses.replace(self, scene=None)
 
     @property
     def moves(self) -> bool:
-        """False: map and surface stay."""
+        """Always false, because map and surface do not change."""
         return False
 
     @property
@@ -183,18 +183,18 @@ class TechniqueProblem(AbstractProblem):
 
     @property
     def count(self) -> Scalar:
-        """How many pixels count."""
+        """The number of pixels that count."""
         return _counted(self.mask, self.weight)
 
     @property
     def blur_in_pixels(self) -> float:
-        """None: images are compared as they are."""
+        """Always 0, because images are compared without a blur."""
         return 0.0
 
 
 def _runs(about: float) -> int:
-    """A number of runs near `about`. XLA vectorizes stacks of samples with 1, 4 or a multiple of 8 of them; others take
-    two to three times as long for each pixel."""
+    """A number of runs near `about`. XLA vectorizes stacks of samples with 1, 4 or a multiple of 8 of them. Other
+    stacks take two to three times as long per pixel."""
     return 1 if about < 2 else 4 if about < 8 else int(about // 8) * 8
 
 

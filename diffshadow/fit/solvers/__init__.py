@@ -1,4 +1,4 @@
-"""Least-squares solvers: settings, and solvers that optimistix lacks."""
+"""Settings of solvers, and least-squares solvers that optimistix lacks."""
 
 from ._adam import Adam as Adam
 from ._levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt

@@ -1,4 +1,4 @@
-"""Adam (Kingma & Ba, "Adam: a method for stochastic optimization", ICLR 2015), as a descent of optimistix."""
+"""Adam (Kingma & Ba, "Adam: a method for stochastic optimization", ICLR 2015), as a descent for optimistix."""
 
 from collections.abc import Callable
 from typing import Any
@@ -15,7 +15,7 @@ _LEAST = 1e-8
 
 
 class _State(eqx.Module):
-    """Running means of the gradient and of its square, and how many there were."""
+    """Running means of the gradient and of its square, and their number of updates."""
 
     mean: Float[Array, " p"]
     square: Float[Array, " p"]
@@ -25,7 +25,7 @@ class _State(eqx.Module):
 class _Descent(optx.AbstractDescent):
     """Steps of Adam, whose length falls to 0 along half a cosine over `steps`.
 
-    - `report`: called with every loss and where it was found.
+    - `report`: called with every loss and its position.
     """
 
     report: Any

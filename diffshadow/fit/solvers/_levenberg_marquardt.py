@@ -14,10 +14,10 @@ from ._settings import Stop
 
 # The first step's damping, relative to the largest squared norm of a column of the Jacobian.
 _FIRST_DAMPING = 0.01
-# The factor by which the first of several rejected steps shortens the next, and the greatest by which a good one
-# lengthens it.
+# The first of several rejected steps shortens the next step by this factor. A good step lengthens it by at most the
+# second factor.
 _SHRINK, _MAX_GROWTH = 2.0, 3.0
-# Where the loss is noisy, a fit ends when the predicted reduction of a full step is less than this fraction of it.
+# A fit with a noisy loss ends when the predicted reduction of a full step is less than this fraction of the noise.
 _MIN_GAIN = 1e-3
 # Added to the squares of the Jacobian's columns, relative to them, so that parameters with the same effect do no harm.
 _RIDGE = 1e-6
@@ -66,8 +66,8 @@ class NielsenDamping(optx.AbstractSearch):
 def _gain(jacobian: Float[Array, "n p"], residual: Float[Array, " n"]) -> Float[Array, ""]:
     """The greatest fraction by which a sum of squares can fall if residuals are linear.
 
-    That is the squared cosine of the angle between residual and tangents, zero where the fit is best (Bates & Watts, "A
-    relative offset orthogonality convergence criterion for nonlinear least squares", Technometrics 23, 1981).
+    It is the squared cosine of the angle between the residual and the tangents, and zero at the best fit (Bates &
+    Watts, "A relative offset orthogonality convergence criterion for nonlinear least squares", Technometrics 23, 1981).
     """
     along = jnp.matmul(jacobian.T, residual, precision="highest")
     square = jnp.matmul(jacobian.T, jacobian, precision="highest")
@@ -83,11 +83,11 @@ def _gain(jacobian: Float[Array, "n p"], residual: Float[Array, " n"]) -> Float[
 
 
 class LevenbergMarquardt(optx.AbstractGaussNewton):
-    """optimistix's, with Nielsen's damping. It also ends if the step after a rejected step would be short.
+    """optimistix's solver, with Nielsen's damping. It also ends if the step after a rejected step would be short.
 
-    That is MINPACK's `xtol`. optimistix ends only after a step that was accepted, and there may be none where the
-    minimum lies at a jump of the loss, such as where a pixel changes from lit to shadowed. With `noise`, as a
-    fraction of the loss, it ends where the model predicts almost no reduction. `stop` ends it sooner.
+    This is MINPACK's `xtol`. optimistix ends only after an accepted step. There may be none if the minimum is at a jump
+    of the loss, such as where a pixel changes from lit to shadowed. With `noise`, a fraction of the loss, the solver
+    ends where the model predicts almost no reduction. `stop` ends it sooner.
     """
 
     rtol: float

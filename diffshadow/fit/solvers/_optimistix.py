@@ -1,4 +1,4 @@
-"""The solvers as optimistix's."""
+"""Converts solvers to optimistix's solvers."""
 
 from collections.abc import Callable
 from typing import Any
@@ -25,7 +25,7 @@ def optimistix_solver(
         case "levenberg_marquardt":
             return LevenbergMarquardt(**tolerances, noise=solver.noise or 0.0, stop=stop)
         case "dogleg":
-            # It solves undamped: a parameter without a gradient must not spoil the others' steps.
+            # It solves without damping, and a parameter without a gradient must not spoil the others' steps.
             return optx.Dogleg(**tolerances, linear_solver=lx.SVD(rcond=_MIN_SINGULAR))
         case "bfgs":
             return optx.BFGS(**tolerances)
@@ -36,5 +36,5 @@ def optimistix_solver(
 
 
 def optimistix_options(solver: Solver) -> dict[str, Any]:
-    """The options with which `optimistix.least_squares` runs it, for forward mode."""
+    """The options for `optimistix.least_squares`, for forward mode."""
     return {"jac": "fwd"} if solver.is_least_squares else {"autodiff_mode": "fwd"}

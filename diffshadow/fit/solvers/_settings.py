@@ -1,4 +1,4 @@
-"""Which solver runs, and when it ends."""
+"""The choice of a solver, and its end."""
 
 import dataclasses
 from typing import Any, ClassVar, NamedTuple
@@ -12,9 +12,9 @@ from ...settings.fit import Solver as Settings
 from ...settings.fit import SolverName
 
 OptimistixSolver = optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser
-"""Any solver of least squares or minimiser of optimistix, or one of a user's own."""
+"""Any least-squares solver or minimiser of optimistix, or a user's own."""
 
-# Fraction of the loss.
+# A fraction of the loss.
 _NOISE_OF_POSES = 0.25
 _MIN_SQUARES = ("levenberg_marquardt", "dogleg")
 _OF_OPTIMISTIX = "a least-squares solver or minimiser of optimistix, such as optimistix.BFGS(1e-4, 1e-6)"
@@ -22,19 +22,19 @@ _EXPECTED = f'a fit.Solver, such as Solver("adam"), or {_OF_OPTIMISTIX}'
 
 
 class Solver(CheckedModule):
-    """Which optimistix solver runs, and when a phase ends.
+    """The solver of a fit, and the end of its phases.
 
     - `name`: `"levenberg_marquardt"`, `"dogleg"`, `"bfgs"`, `"lbfgs"` or `"adam"`.
-    - `max_steps`: most steps of each phase.
+    - `max_steps`: the maximum number of steps of each phase.
     - `rtol`, `atol`: a phase ends when both parameters and loss change by less than these tolerances.
         Levenberg-Marquardt also ends after a step that did not help, if the next step would change all parameters by
         less.
     - `learning_rate`: the length of Adam's first steps, if the distance between the bounds is pi.
-    - `noise`: by which fraction the loss jumps if parameters change a little. Levenberg-Marquardt accepts steps that
-        raise the loss by less than the noise. If the losses at the ends of phases differ by less than the noise, the
-        last phase is the result. By default it is 0 for a technique, and 0.25 if lights or meshes move, since pixels
-        then jump from lit to shadowed and back.
-    - `method`: any least-squares solver or minimiser of optimistix, instead of the solver called `name`. Such a method
+    - `noise`: the fraction by which the loss jumps if parameters change a little. Levenberg-Marquardt accepts steps
+      that raise the loss by less than the noise. If the losses at the ends of phases differ by less than the noise, the
+      last phase is the result. By default, it is 0 for a technique, and 0.25 if lights or meshes move, because pixels
+      then jump between lit and shadowed.
+    - `method`: any least-squares solver or minimiser of optimistix, instead of the solver `name`. Such a method
         has its own tolerances. Only the fields `max_steps` and `noise` apply to it, and `noise` only affects the choice
         between phases.
 
@@ -58,7 +58,7 @@ class Solver(CheckedModule):
 
     @classmethod
     def of(cls, solver: Any) -> "Solver":
-        """Returns a `Solver` unchanged, wraps a solver of optimistix with the default number of steps, and returns the
+        """Returns a `Solver` unchanged. Wraps a solver of optimistix with the default number of steps. Returns the
         default for `None`.
 
         **Raises** `TypeError` for any other object.
@@ -76,7 +76,7 @@ class Solver(CheckedModule):
 
     @property
     def is_least_squares(self) -> bool:
-        """Whether it uses the residuals' Jacobian, rather than the loss' gradient."""
+        """Whether it uses the residuals' Jacobian instead of the loss' gradient."""
         if self.method is not None:
             return isinstance(self.method, optx.AbstractLeastSquaresSolver)
         return self.name in _MIN_SQUARES
@@ -87,15 +87,15 @@ class Solver(CheckedModule):
         return self.name if self.method is None else f"optimistix' {type(self.method).__name__}"
 
     def for_problem(self, moves: bool) -> "Solver":
-        """The solver with the default noise: depending on whether lights or meshes move."""
+        """The solver with the default noise, which depends on whether lights or meshes move."""
         return self if self.noise is not None else dataclasses.replace(self, noise=_NOISE_OF_POSES if moves else 0.0)
 
 
 class Stop(NamedTuple):
-    """When Levenberg-Marquardt ends, in addition to its tolerances. Other solvers do not use it.
+    """Additional conditions for the end of Levenberg-Marquardt. Other solvers do not use them.
 
     - `shortest`: the length of a step, in free values, at which it ends after a step that did not help.
-    - `least_gain`: it ends where the sum of squares would fall by less than this fraction if residuals were linear.
+    - `least_gain`: it ends if the sum of squares would fall by less than this fraction for linear residuals.
     """
 
     shortest: Array | float = 0.0

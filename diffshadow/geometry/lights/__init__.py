@@ -1,4 +1,4 @@
-"""Lights, one kind per file."""
+"""Lights. Each kind has its own file."""
 
 from ._abstract import AbstractLight as AbstractLight
 from ._abstract import Domain as Domain

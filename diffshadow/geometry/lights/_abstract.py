@@ -17,7 +17,7 @@ from .._view import View
 from ._pose import LightPose
 
 Domain = Literal["disk", "square"]
-"""Where samples of a light lie: in the disk of radius 1, or in the square [-1, 1]²."""
+"""The domain of a light's samples: the disk of radius 1, or the square [-1, 1]²."""
 
 
 class AbstractLight(CheckedModule):
@@ -52,7 +52,7 @@ class AbstractLight(CheckedModule):
         return jnp.ones(points.shape[:-1])
 
     def pose(self) -> LightPose:
-        """The light's pose; all fields are `None` for a light whose pose cannot be fitted."""
+        """The light's pose. All fields are `None` for a light whose pose cannot be fitted."""
         return LightPose()
 
     def at(self, pose: LightPose) -> "AbstractLight":
@@ -60,10 +60,10 @@ class AbstractLight(CheckedModule):
         return self
 
     def refitted(self, points: Float[Array, "n 3"]) -> "AbstractLight":
-        """The same light with the frustum of its shadow map refitted to `points` (n, 3), also under a trace.
+        """The same light with the frustum of its shadow map refitted to `points` (n, 3), also under `jit`.
 
         The frustum carries no gradient; the light's position and direction do. A light that cannot be refitted is
-        returned as it is.
+        returned unchanged.
         """
         return self
 
@@ -84,7 +84,7 @@ class AbstractLight(CheckedModule):
 
 
 def check_direction(name: str, direction: Vec3, what: str = "direction") -> None:
-    """**Raises** `ValueError` if `direction` is known and is zero or not finite."""
+    """**Raises** `ValueError` if `direction` is known, and zero or not finite."""
     check_value(f"{name}'s {what}", direction, Direction)
 
 

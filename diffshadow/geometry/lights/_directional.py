@@ -25,7 +25,7 @@ from ._pose import LightPose, angles
 class DirectionalLight(AbstractLight):
     """Light from infinitely far away, such as the sun's.
 
-    - `direction`: (3,), the direction in which the light travels; any length but 0.
+    - `direction`: (3,), the direction in which the light travels, of any length except 0.
     - `center`: (3,), a world point on the axis of the shadow map's box.
     - `extent`: (2,), width and height of that box in world units.
     - `near`, `far`: where the box begins and ends along `direction`, measured from `center`, in world units; `near` is
@@ -84,7 +84,8 @@ class DirectionalLight(AbstractLight):
         check_direction("the directional light", direction)
         check_direction("the directional light", up, "up")
         check_points("the directional light's points", points)
-        # By what a view is made with, and in NumPy where it can be: nothing is compiled for the number of points.
+        # Uses the functions that make views, and NumPy if possible, so that nothing is compiled for the number of
+        # points.
         turn = look_at(as_float(np.zeros(3)), direction, up)
         xp = array_module(points, turn, receivers)
         rows = xp.asarray(turn)[:3, :3]

@@ -17,7 +17,7 @@ from .._view import View
 from ._abstract import check_direction
 
 MARGIN = 0.01
-"""Margin around the scene in a fitted frustum, as a fraction of its extent: keeps its points clear of the border."""
+"""Margin around the scene in a fitted frustum, as a fraction of its extent. It keeps points away from the border."""
 FLAT = 1e-3
 """Minimum depth of a fitted frustum, as a fraction of the scene's size or distance, for scenes that the light sees
 edge-on."""
@@ -52,8 +52,8 @@ class LightFrustum(NamedTuple):
 
         Its width is `aspect` times its height, and `outer_angle` is the half-angle of its height.
 
-        **Raises** `ValueError` if `position` and `target` coincide, or if the points reach beside or behind the light
-        and `outer_angle` is left out.
+        **Raises** `ValueError` if `position` and `target` coincide, or if points are next to or behind the light and
+        `outer_angle` is left out.
         """
         check_points(f"{name}'s points", points)
         target = _centre(points) if target is None else as_float(target)
@@ -76,7 +76,7 @@ class LightFrustum(NamedTuple):
         direction: Vec3 | None = None,
         aspect: Scalar | float = 1.0,
     ) -> "LightFrustum":
-        """Like `around`, but also under a trace, and along `direction` if given. Points beside or behind the light stay
+        """Like `around`, but also under `jit`, and along `direction` if given. Points next to or behind the light stay
         outside the frustum."""
         if direction is None:
             direction = _centre(points) - position
@@ -88,8 +88,8 @@ class LightFrustum(NamedTuple):
 def _fitted(
     position: Vec3, points: Float[Array, "n 3"], up: Vec3, direction: Vec3, aspect: Scalar
 ) -> tuple[Scalar, Scalar, Scalar, Array]:
-    """The angle, near and far of the frustum along `direction` around the points before the light, and whether all
-    points are."""
+    """The angle, near and far of the frustum along `direction` around the points in front of the light, and whether
+    this includes all points."""
     eye = transform_points(look_at(position, direction, up), points)[..., :3]
     distance = -eye[..., 2]
     ahead = (distance > 0)[..., None]
@@ -117,7 +117,7 @@ def _sides(aspect: Scalar | float) -> Float[Array, "2"]:
 
 
 def _reach(distance: Float[Array, " n"]) -> tuple[Scalar, Scalar]:
-    """The least and the greatest distance in front of a light."""
+    """The minimum and maximum distance in front of a light."""
     # Points behind the light cast no shadow. If all are behind it, the frustum is as long as the largest distance.
     high = jnp.max(distance)
     high = jnp.where(high > 0, high, jnp.max(jnp.abs(distance)))
@@ -125,7 +125,7 @@ def _reach(distance: Float[Array, " n"]) -> tuple[Scalar, Scalar]:
 
 
 def near_far(low: Scalar, high: Scalar) -> tuple[Scalar, Scalar]:
-    """Near and far for points at distances `low` to `high`; `low` is 0 if the light is among the points."""
+    """Near and far for points at distances `low` to `high`. `low` is 0 if the light is among the points."""
     pad = jnp.maximum(MARGIN * (high - low), FLAT / 2 * high)
     clear = _CLEAR * high
     near = jnp.maximum(low - pad, jnp.where(_is_clear(low, high), jnp.minimum(clear, (1 - MARGIN) * low), clear))
@@ -151,7 +151,7 @@ def frustum_view(
 
 
 def check_frustum(name: str, direction: Vec3, outer_angle: Scalar, near: Scalar, far: Scalar) -> None:
-    """**Raises** `ValueError` unless the direction is not zero, 0 < near < far and the angle is in its range."""
+    """**Raises** `ValueError` unless the direction is not zero, 0 < near < far and the angle is in range."""
     check_direction(name, direction)
     check_near_far(name, near, far, positive=True)
     check_value(f"{name}'s outer_angle", outer_angle, OuterAngle)

@@ -17,10 +17,10 @@ class MatrixLight(AbstractLight):
     """Light without a size, given by the matrices of its shadow map, for example from another program.
 
     - `world_to_eye`: (4, 4), rigid; the eye looks along `-z`. It acts on column vectors.
-    - `eye_to_clip`: (4, 4), a projection as `perspective` and `orthographic` make, which may be off-centre. Depth
+    - `eye_to_clip`: (4, 4), a projection of the form of `perspective` or `orthographic`, possibly off-centre. Depth
         in clip space is from -1 to 1, as in OpenGL.
     - `is_perspective`: with a perspective projection, the light is at the eye; with a parallel one, it is directional
-        and shines along `-z` of eye space. By default it is read from `eye_to_clip`; required under a trace.
+        and shines along `-z` of eye space. By default it is read from `eye_to_clip`. Required under `jit`.
 
     Its pose cannot be fitted.
 
@@ -45,17 +45,17 @@ class MatrixLight(AbstractLight):
         left_handed: bool = False,
         depth: tuple[float, float] = (-1.0, 1.0),
     ) -> "MatrixLight":
-        """The light of an engine's matrices, whose conventions differ from OpenGL's.
+        """The light of an engine's matrices, with conventions other than OpenGL's.
 
         **Arguments:**
 
         - `world_to_eye`, `eye_to_clip`: (4, 4), for column vectors: transpose matrices for row vectors.
-        - `left_handed`: whether the eye looks along `+z`, as Babylon.js' and Direct3D's do. Such an eye sees the mirror
+        - `left_handed`: whether the eye looks along `+z`, as in Babylon.js and Direct3D. Such an eye sees the mirror
             image of this light's view, so the columns of the engine's map run in the opposite direction.
         - `depth`: clip depth over w at near and far: (-1, 1) for OpenGL, (0, 1) for Direct3D, Metal and WebGPU, (1, 0)
             for reversed depth.
 
-        **Raises** `ValueError` for matrices that are not (4, 4), equal depths, and what `MatrixLight` raises.
+        **Raises** `ValueError` for matrices that are not (4, 4), for equal depths, and for the errors of `MatrixLight`.
         """
         return cls(*as_opengl(world_to_eye, eye_to_clip, left_handed, depth))
 

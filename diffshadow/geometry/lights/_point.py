@@ -33,17 +33,17 @@ _FACES = np.stack([np.cross(_FORWARD, _UPRIGHT), _UPRIGHT, -_FORWARD], axis=1)
 class PointLight(AbstractLight):
     """Light from a point, or from a sphere, in all directions. Its shadow map is a cube's six faces.
 
-    The faces look along +x, -x, +y, -y, +z and -z. Each face is drawn a little wider than its 90 degrees, so that
-    filter taps across an edge of the cube stay in the face's own map, and no seams show. This works for taps within
-    `guard_texels` of the receiver's texel position. The filter's radius may be that large, minus half a texel for
+    The faces look along +x, -x, +y, -y, +z and -z. Each face is drawn slightly wider than its 90 degrees. Filter taps
+    across an edge of the cube then stay in the face's own map, and no seams show. This works for taps within
+    `guard_texels` of the receiver's texel position, so the filter's radius may be as large, minus half a texel for
     bilinear taps and minus a normal offset. Taps farther out reach the map's border, where everything is lit.
 
     - `position`: (3,), world units.
     - `near`, `far`: distances along a face's axis of window depth 0 and 1, world units. Surfaces closer to the light
         than `near` along all three axes cast no shadow.
     - `radius`: radius of the emitting sphere, world units; 0 for a point.
-    - `guard`: how far a face extends beyond its 90 degrees, as a fraction of half their width. Resolution drops by the
-        same fraction.
+    - `guard`: the margin of a face beyond its 90 degrees, as a fraction of half their width. Resolution drops by the
+      same fraction.
 
     `PointLight.around` fits near and far to a scene.
 
@@ -75,7 +75,7 @@ class PointLight(AbstractLight):
         """The light at `position` with near and far fitted to `points` (n, 3).
 
         Far is tight. Near is tight if some axis separates the light from the points. Otherwise the light is among them,
-        and near is a hundredth of far, since a surface may be closer to the light than any of its points.
+        and near is a hundredth of far, because a surface may be closer to the light than any of its points.
         """
         position = as_float(position)
         check_position("the point light", position)
@@ -94,8 +94,8 @@ class PointLight(AbstractLight):
         return PointLight(self.position, tight.near, tight.far, self.radius, self.guard)
 
     def guard_texels(self, resolution: Resolution) -> float:
-        """The greatest distance of a tap from the receiver's texel position at which the tap stays within the border,
-        in texels of faces of `resolution`. Only for concrete lights."""
+        """The maximum distance, in texels of faces of `resolution`, between the receiver's texel position and a tap
+        that stays within the border. Only for concrete lights."""
         guard = float(self.guard)
         return guard / (1 + guard) * min(resolution) / 2
 

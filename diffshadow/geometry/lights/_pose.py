@@ -31,7 +31,7 @@ class LightPose(eqx.Module):
 
     @property
     def direction(self) -> Vec3:
-        """The unit vector, (3,), in which a light that has angles shines."""
+        """The unit vector, (3,), in which a light with angles shines."""
         assert self.azimuth is not None
         assert self.elevation is not None
         a, e = jnp.deg2rad(self.azimuth), jnp.deg2rad(self.elevation)
@@ -41,5 +41,5 @@ class LightPose(eqx.Module):
 def angles(direction: Vec3) -> tuple[Scalar, Scalar]:
     """Azimuth and elevation, in degrees, of a light that shines along `direction`, of any length."""
     x, y, z = -normalize(direction)
-    # By the arc tangent, which stays accurate near the pole.
+    # The arc tangent stays accurate near the pole.
     return jnp.rad2deg(jnp.arctan2(x, z)), jnp.rad2deg(jnp.arctan2(y, jnp.hypot(x, z)))

@@ -21,7 +21,7 @@ class RectangleLight(AbstractLight):
     """Light from a rectangle, such as a panel or window. Its shadow map is drawn from its centre, like a spot light's.
 
     - `position`: (3,), its centre, world units.
-    - `direction`: (3,), the direction it faces; any length but 0.
+    - `direction`: (3,), the direction it faces, of any length except 0.
     - `size`: (2,), width and height, world units.
     - `outer_angle`: half-angle of the shadow map's square frustum, in degrees.
     - `near`, `far`: distances along `direction` of window depth 0 and 1, world units.
@@ -62,8 +62,8 @@ class RectangleLight(AbstractLight):
 
         It faces `target`, by default the centre of the points' box.
 
-        **Raises** `ValueError` if `position` and `target` coincide, or if the points reach beside or behind the light
-        and `outer_angle` is left out.
+        **Raises** `ValueError` if `position` and `target` coincide, or if points are next to or behind the light and
+        `outer_angle` is left out.
         """
         position, up = as_float(position), as_float(Settings.up if up is None else up)
         check_direction("the rectangle light", up, "up")
@@ -71,15 +71,15 @@ class RectangleLight(AbstractLight):
         return cls(position, fitted.direction, size, fitted.outer_angle, fitted.near, fitted.far, up)
 
     def pose(self) -> LightPose:
-        """Only its position: hard shadows depend neither on its orientation nor on its size."""
+        """Only its position, because hard shadows depend neither on its orientation nor on its size."""
         return LightPose(Vector(*self.position))
 
     def at(self, pose: LightPose) -> "RectangleLight":
         return eqx.tree_at(lambda one: one.position, self, pose.place)
 
     def refitted(self, points: Float[Array, "n 3"]) -> "RectangleLight":
-        """The same light with angle, near and far refitted to `points` (n, 3), also under a trace; they carry no
-        gradient. Its direction is kept, and the angle is at most 80 degrees."""
+        """The same light with angle, near and far refitted to `points` (n, 3), also under `jit`. They carry no
+        gradient. Its direction does not change, and the angle is at most 80 degrees."""
         seen = lax.stop_gradient((self.position, points, self.up, self.direction))
         _, angle, near, far = LightFrustum.framing(*seen)
         return RectangleLight(self.position, self.direction, self.size, angle, near, far, self.up)

@@ -23,12 +23,12 @@ class SpotLight(AbstractLight):
     """Light from a point, or from a small disk around it, into a cone.
 
     - `position`: (3,), world units.
-    - `direction`: (3,), the cone's axis, away from the light; any length but 0.
+    - `direction`: (3,), the cone's axis, away from the light, of any length except 0.
     - `outer_angle`: half-angle of the cone, in degrees. The shadow map's frustum encloses the cone.
     - `near`, `far`: distances along the axis of window depth 0 and 1, world units.
     - `radius`: radius of the emitting disk, which faces along `direction`; world units, 0 for a point.
-    - `inner_angle`: degrees. Inside this half-angle the light has full intensity; from there to `outer_angle` it falls
-        off by a smooth step in the cosine. If left out, shading ignores the cone. Visibility always ignores it.
+    - `inner_angle`: degrees. Inside this half-angle, the light has full intensity. From there to `outer_angle`, it
+      falls off by a smooth step in the cosine. Without it, shading ignores the cone. Visibility always ignores it.
     - `up`: (3,), up direction of the shadow map; only its part orthogonal to `direction` counts.
     - `aspect`: width of the shadow map's frustum over its height; `outer_angle` is the height's half-angle.
 
@@ -79,8 +79,8 @@ class SpotLight(AbstractLight):
 
         It points at `target`, by default the centre of the points' box.
 
-        **Raises** `ValueError` if `position` and `target` coincide, or if the points reach beside or behind the light
-        and `outer_angle` is left out.
+        **Raises** `ValueError` if `position` and `target` coincide, or if points are next to or behind the light and
+        `outer_angle` is left out.
         """
         position, up = as_float(position), as_float(UP if up is None else up)
         check_direction("the spot light", up, "up")
@@ -95,10 +95,10 @@ class SpotLight(AbstractLight):
         return eqx.tree_at(parts, self, (pose.place, pose.direction, pose.radius))
 
     def refitted(self, points: Float[Array, "n 3"]) -> "SpotLight":
-        """The same light with near and far refitted to `points` (n, 3), also under a trace; they carry no gradient.
+        """The same light with near and far refitted to `points` (n, 3), also under `jit`. They carry no gradient.
 
-        With an `inner_angle`, the cone is kept. Without one, the cone is only the map's frustum: it is pointed at the
-        centre of the points' box and fitted to them, with an angle of at most 80 degrees.
+        With an `inner_angle`, the cone does not change. Without one, the cone is only the map's frustum: it is pointed
+        at the centre of the points' box and fitted to them, with an angle of at most 80 degrees.
         """
         if self.inner_angle is not None:
             near, far = distances_along(*lax.stop_gradient((self.position, self.direction, points)))

@@ -43,7 +43,7 @@ def read_gltf_scene(data: bytes, folder: Path) -> SceneFile:
     - `data`: the file's bytes.
     - `folder`: the file's folder, where the files it refers to are looked up.
 
-    **Raises** `MeshError` if it is damaged, or holds what cannot be read.
+    **Raises** `MeshError` if it is damaged or cannot be read.
     """
     text, binary = chunks(data)
     document = parse(text)
@@ -70,7 +70,7 @@ def read_gltf_scene(data: bytes, folder: Path) -> SceneFile:
     if fault is not None and not meshes:
         raise fault
     lost = sum(left_out[name] for name in (HIDDEN_MESH, NO_POSITIONS, CUT_OUT)) + empty + faults.count
-    # Named one by one below.
+    # These are named one by one below.
     del left_out[HIDDEN_MESH]
     remarks += faults.remarks()
     remarks += [f"{count} × {name}: left out" for name, count in left_out.items() if count]
@@ -83,7 +83,7 @@ def _mesh_name(node: Node, document: Document) -> str:
 
 
 def _shadows(node: Node) -> dict[str, bool]:
-    """Whether a mesh casts and receives shadows, where `write_gltf` has said so."""
+    """Whether a mesh casts and receives shadows, if `write_gltf` has stored this."""
     extras = node.extras.get(EXTRAS) if isinstance(node.extras, Mapping) else None
     given = extras if isinstance(extras, Mapping) else {}
     return {name: given[name] for name in ("casts", "receives") if isinstance(given.get(name), bool)}
@@ -102,20 +102,20 @@ def _look(look: BaseColour) -> dict[str, Any]:
 
 
 def _remarks(material: Material, has_normals: bool, has_texture: bool) -> Iterator[str]:
-    """What of a mesh is otherwise here."""
+    """The differences between a mesh here and in the file."""
     if material.alpha_mode == "MASK" and not has_texture:
-        yield "its alpha test is left out, since it has no texture that can be read; the whole surface casts"
+        yield "its alpha test is left out, because it has no readable texture; the whole surface casts"
     transmission = material.extensions.get(TRANSMISSION)
     if material.alpha_mode == "BLEND" or (isinstance(transmission, dict) and transmission.get("transmissionFactor")):
-        yield "it is transparent, and opaque here; in shadow maps it is opaque in three.js, too"
+        yield "it is transparent, but opaque here; in shadow maps it is also opaque in three.js"
     if UNLIT in material.extensions:
-        yield "its material is unlit (KHR_materials_unlit) and shows no shadows; here it does"
+        yield "its material is unlit (KHR_materials_unlit) and shows no shadows; here it shows them"
     if not has_normals:
-        yield "it has no normals; it gets its faces' normals"
+        yield "it has no normals; its faces' normals are used"
 
 
 def _placed(document: Document, remarks: list[str]) -> tuple[list[SceneCamera], list[SceneLight]]:
-    """The cameras and lights of the nodes. Adds what is hidden to `remarks`."""
+    """The cameras and lights of the nodes. Adds hidden ones to `remarks`."""
     cameras, lights = _all(Camera, document.cameras, "cameras"), _lights(document)
     seen: list[SceneCamera] = []
     beside: list[SceneCamera] = []
@@ -140,8 +140,8 @@ def _placed(document: Document, remarks: list[str]) -> tuple[list[SceneCamera], 
             else:
                 hidden.append(placed.name)
         remarks += [f"{name}: hidden by {VISIBILITY}; left out" for name in hidden]
-    # The extension hides no cameras, so that one may serve where there is no other.
-    said = "left out" if seen else "taken all the same, since there is no other camera"
+    # The extension does not hide cameras, so a hidden camera may be used if there is no other.
+    said = "left out" if seen else "used anyway, because there is no other camera"
     remarks += [f"{camera.name}: hidden by {VISIBILITY}; {said}" for camera in beside]
     return seen or beside, lit
 

@@ -1,4 +1,4 @@
-"""What a scene's file holds, in world space."""
+"""The content of a scene's file, in world space."""
 
 from typing import Literal, NamedTuple
 
@@ -22,7 +22,7 @@ class SceneMesh(NamedTuple):
     - `casts`, `receives`: whether it casts and receives shadows.
     - `layers`: a bit for each layer that it is in.
     - `colour`: diffuse, each component in [0, 1].
-    - `emits`: whether its material shines, or is drawn as if it did.
+    - `emits`: whether its material emits light, or is drawn as if it did.
     - `colours`: (v, 3), linear, of the vertices; `None` if they have no colours.
     - `uv`, `texture`: (v, 2), texture coordinates, and the texture that `colour` is multiplied by; or `None`.
     - `alpha`: (v,), the vertices' alpha, which the alpha test multiplies by the texture's alpha; `None` if all are 1.
@@ -69,7 +69,7 @@ class SceneCamera(NamedTuple):
 
 
 class SceneShadow(NamedTuple):
-    """The settings of a light's shadow, by the names, units and defaults of three.js.
+    """The settings of a light's shadow, with the names, units and defaults of three.js.
 
     - `near`, `far`: distances of its camera's planes; `window`: left, right, top and bottom of a directional light's
         camera.
@@ -121,8 +121,8 @@ class SceneFile(NamedTuple):
 
     - `meshes`, `cameras`, `lights`: in the order of the file.
     - `engine`: the engine whose settings these are.
-    - `remarks`: what was left out or changed, each a sentence without a full stop.
-    - `left_out`: how many meshes, or parts of meshes, were left out; `remarks` say why.
+    - `remarks`: the omitted or changed parts, each as a sentence without a full stop.
+    - `left_out`: the number of meshes, or parts of meshes, that were left out. `remarks` has the reasons.
     """
 
     meshes: list[SceneMesh]

@@ -27,8 +27,8 @@ from ._three_json import read_three
 def read_scene(path: str | os.PathLike[str]) -> SceneFile:
     """Reads a scene: a JSON file of three.js (from `scene.toJSON()` or its editor), GLB, glTF 2.0, or any mesh file.
 
-    JSON, GLB and glTF are recognised by their content. A mesh file has no camera and no light. It is turned upright if
-    its `z` is up.
+    JSON, GLB and glTF are recognised by their content. A mesh file has no camera and no light. It is rotated if its `z`
+    is up.
 
     **Raises** `FileError` if the file is missing, damaged, or none of these.
     """
@@ -52,7 +52,7 @@ def read_scene(path: str | os.PathLike[str]) -> SceneFile:
 
 
 def _is_mesh(file: Path) -> bool:
-    """Whether the suffix of `file` is of a format that has meshes only."""
+    """Whether the suffix of `file` belongs to a format for meshes only."""
     suffix = file.suffix.lower()
     if suffix in MESH_SUFFIXES:
         return suffix not in GLTF_SUFFIXES
@@ -68,12 +68,12 @@ def _of_mesh(file: Path) -> SceneFile:
         warnings.simplefilter("always", MeshWarning)
         mesh = load_mesh(file)
     remarks = [str(each.message) for each in caught]
-    # Corners of one vertex may have several normals.
+    # The corners of a vertex may have several normals.
     faces = np.asarray(mesh.faces)
     corners = np.asarray(mesh.vertices, np.float64)[faces]
     normals = np.asarray(mesh.corner_normals, np.float64)
     if up_of(corners, False) == "z":
-        remarks.append("z is taken as up, since the mesh lies flat across z; it is turned so that y is")
+        remarks.append("z is up, because the mesh is flat across z; it is rotated so that y is up")
         corners, normals = y_up(corners), y_up(normals)
     return SceneFile([*_by_texture(file.stem, mesh, corners, normals)], [], [], None, remarks)
 
@@ -81,7 +81,7 @@ def _of_mesh(file: Path) -> SceneFile:
 def _by_texture(
     name: str, mesh: Mesh, corners: Float[HostArray, "f 3 3"], normals: Float[HostArray, "f 3 3"]
 ) -> Iterator[SceneMesh]:
-    """The faces of each texture of a mesh file, and of none, as a mesh of their own."""
+    """A separate mesh for the faces of each texture, and for the faces without a texture."""
     textures, albedo = mesh.textures, np.asarray(mesh.albedo, np.float64)
     index = np.full(len(corners), NO_TEXTURE) if textures is None else np.asarray(textures.index)
     numbers = np.unique(index).tolist()
@@ -106,7 +106,7 @@ def _by_texture(
 
 
 def _content(data: bytes) -> Mapping[str, Any]:
-    """**Raises** `MeshError` if `data` is no object of JSON."""
+    """**Raises** `MeshError` if `data` is not a JSON object."""
     try:
         content = json.loads(decode(data))
     except ValueError as error:
@@ -114,5 +114,7 @@ def _content(data: bytes) -> Mapping[str, Any]:
             f"is neither JSON nor GLB ({error}); expected JSON.stringify(scene.toJSON()) of three.js, or glTF"
         ) from error
     if not isinstance(content, dict):
-        raise MeshError("holds a JSON value that is no object; expected what scene.toJSON() of three.js gives, or glTF")
+        raise MeshError(
+            "holds a JSON value that is not an object; expected the result of three.js' scene.toJSON(), or glTF"
+        )
     return content

@@ -58,8 +58,8 @@ def values_of(attribute: Attribute, data: GeometryData | None, name: str) -> Flo
 
 
 def maybe_half_floats(entry: GeometryEntry) -> list[str]:
-    """The attributes of a geometry whose whole numbers may be the bits of half floats, since files have no type for
-    half floats."""
+    """The attributes of a geometry whose whole numbers may be the bits of half floats. Files have no type for half
+    floats."""
     data = entry.data
     if data is None:
         return []
@@ -115,7 +115,7 @@ def _interleaved(attribute: Attribute, data: GeometryData | None, name: str) -> 
     buffer = data.interleaved_buffers.get(attribute.data or "") if data is not None else None
     words = data.array_buffers.get(buffer.buffer) if data is not None and buffer is not None else None
     if buffer is None or words is None:
-        raise damaged(f"its attribute {name} lies in a buffer that the file lacks")
+        raise damaged(f"its attribute {name} is in a buffer that the file lacks")
     kind = _kind(buffer.type)
     values = np.frombuffer(_numbers(words, name).astype(np.uint32).tobytes(), kind)
     if attribute.offset + attribute.item_size > buffer.stride:
@@ -131,7 +131,7 @@ def _kind(name: str) -> Any:
 
 
 def _numbers(values: Any, name: str) -> Float[HostArray, " n"]:
-    """A JSON list as float64. JSON's null is NaN; older releases write a list as an object with numbered keys."""
+    """A JSON list as float64. JSON's null becomes NaN. Older releases write a list as an object with numbered keys."""
     try:
         flat = np.array(list(values.values()) if isinstance(values, dict) else values, np.float64)
     except (TypeError, ValueError):

@@ -1,4 +1,4 @@
-"""three.js' own shapes; its files store only their parameters.
+"""three.js' built-in shapes. Its files store only their parameters.
 
 Each function has the constructor's parameters with its defaults, and returns the same vertices, normals and triangles
 in the same order (three.js r187, src/geometries). Angles are in radians, lengths in the geometry's own units.
@@ -17,14 +17,14 @@ from ..._types import HostArray
 from .._errors import damaged
 from .._text import excerpt
 
-# More than any shape needs; two of these make 17 million vertices, which memory has room for.
+# More than any shape needs. Two dimensions of this size make 17 million vertices, which fit into memory.
 _MAX_SEGMENTS = 1 << 12
 
 
 class Geometry(NamedTuple):
     """A shape.
 
-    - `vertices`, `normals`: (v, 3); the normals are none if it has none.
+    - `vertices`, `normals`: (v, 3); `normals` is `None` if it has no normals.
     - `faces`: (f, 3), indices into `vertices`.
     - `groups`: first face, number of faces and material of each part, if parts may differ in material.
     """
@@ -65,7 +65,7 @@ def box(
             w: np.full(i.shape, sign * size[w][0] / 2),
         }
         vertices = _stacked(at["x"], at["y"], at["z"])
-        # The engine's sign of a depth of zero is the negative one.
+        # The engine gives a depth of zero a negative sign.
         normal = np.array([w == axis for axis in "xyz"]) * (1.0 if sign * size[w][0] > 0 else -1.0)
         parts.append(Geometry(vertices, _quads(_numbered(rows, columns)), np.broadcast_to(normal, vertices.shape)))
     return _joined(parts)
@@ -91,7 +91,7 @@ def sphere(
     a, b, c, d = _corners(_numbered(rows, columns))
     row = np.repeat(np.arange(rows), columns)
     kept = np.stack([(row != 0) | (theta_start > 0), (row != rows - 1) | (end < np.pi)], axis=-1)
-    # In the engine's order of corners: the first is the one to the right.
+    # The engine's order of corners starts at the right one.
     return Geometry(vertices, _halved(d, a, b, c)[kept.reshape(-1)], _unit(vertices))
 
 
@@ -221,7 +221,7 @@ def torus_knot(
 
     i, j = _grid(tubular_segments, radial_segments)
     u, v = i / tubular_segments * p * np.pi * 2, (j / radial_segments * np.pi * 2)[..., None]
-    # The frame of the engine: of a point and one a little farther along.
+    # The engine's frame comes from a point and a point slightly farther along.
     here, ahead = curve(u), curve(u + 0.01)
     along = ahead - here
     binormal = np.cross(along, ahead + here)
@@ -255,11 +255,11 @@ def lathe(
     phi_start: float = 0.0,
     phi_length: float = 2 * np.pi,
 ) -> Geometry:
-    """A line turned about the y axis."""
+    """A line rotated about the y axis."""
     line = np.array([[point["x"], point["y"]] for point in points], float)
     step = np.diff(line, axis=0)
     across = np.stack([step[:, 1], -step[:, 0]], axis=-1)
-    # Of each point, the sum of its two pieces' normals.
+    # The sum of the normals of both segments at each point.
     rims = _unit(np.concatenate([across[:1], across[1:] + across[:-1], across[-1:]]))
     i, j = _grid(segments, len(line) - 1)
     j, phi = j.astype(int), phi_start + i / segments * np.clip(phi_length, 0, 2 * np.pi)
@@ -273,10 +273,10 @@ def lathe(
 def polyhedron(
     vertices: Sequence[float] = (), indices: Sequence[int] = (), radius: float = 1.0, detail: int = 0
 ) -> Geometry:
-    """A polyhedron of triangles, each cut into (detail + 1)² and moved out to a sphere."""
+    """A polyhedron of triangles. Each is divided into (detail + 1)² triangles and projected onto a sphere."""
     corners = np.asarray(vertices, float).reshape(-1, 3)[np.asarray(indices, int).reshape(-1, 3)]
     count = detail + 1
-    # The points of each triangle in rows from its first side to its third corner, and the triangles among them.
+    # The points of each triangle, in rows from its first side to its third corner, and the triangles between them.
     places = [(i, j) for i in range(count + 1) for j in range(count + 1 - i)]
     number = {place: k for k, place in enumerate(places)}
     small = [
@@ -295,7 +295,7 @@ def polyhedron(
     faces = np.arange(len(soup)).reshape(-1, 3)
     if detail:
         return Geometry(soup, faces, _unit(soup))
-    # From vertices in single precision, as the engine has them.
+    # The vertices have single precision, as in the engine.
     p, q, r = np.moveaxis(soup.astype(np.float32).astype(float)[faces], 1, 0)
     return Geometry(soup, faces, np.repeat(_unit(np.cross(r - q, p - q)), 3, axis=0))
 
@@ -361,7 +361,7 @@ GEOMETRIES: Mapping[str, Callable[..., Geometry]] = {
 
 
 def build_geometry(kind: str, parameters: Mapping[str, Any]) -> Geometry:
-    """The shape of the class `kind`, a key of `GEOMETRIES`, with the `parameters` that a file has for it.
+    """The shape of the class `kind`, a key of `GEOMETRIES`, with the `parameters` of the file.
 
     **Raises** `MeshError` for a parameter that is not a finite number, for no segments, or for more segments than fit
     into memory.
@@ -404,7 +404,8 @@ def _numbered(rows: int, columns: int) -> Int[HostArray, "r c"]:
 
 
 def _corners(number: Int[HostArray, "r c"]) -> tuple[Int[HostArray, " q"], ...]:
-    """Each quad's corners, around it: (row, column), (row + 1, column), (row + 1, column + 1), (row, column + 1)."""
+    """Each quad's corners, in order around it: (row, column), (row + 1, column), (row + 1, column + 1), (row, column +
+    1)."""
     parts = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
     return tuple(part.reshape(-1) for part in parts)
 
@@ -421,7 +422,7 @@ def _halved(
 
 
 def _joined(parts: list[Geometry], materials: Sequence[int] | None = None) -> Geometry:
-    """All parts, each a group."""
+    """All parts as groups."""
     starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
     first = np.cumsum([0, *(len(part.faces) for part in parts)])
     numbers = range(len(parts)) if materials is None else materials

@@ -21,7 +21,7 @@ from ._three_schema import Document, GeometryEntry, Material, Object, ShadowCame
 _MESHES = ("Mesh", "SkinnedMesh", "InstancedMesh")
 _CAMERAS = ("PerspectiveCamera", "OrthographicCamera")
 _LIGHTS = {"DirectionalLight": "directional", "SpotLight": "spot", "PointLight": "point"}
-# What neither draws a surface nor casts a shadow here: their names in remarks.
+# Objects that neither draw a surface nor cast a shadow here: their names in remarks.
 _OTHERS = {
     "Line": "line",
     "LineSegments": "line",
@@ -43,7 +43,7 @@ _OWN_SHADERS = ("ShaderMaterial", "RawShaderMaterial")
 
 
 class _Placed(NamedTuple):
-    """An object that is drawn, and its matrix to world space."""
+    """A drawn object, and its matrix to world space."""
 
     object: Object
     to_world: Float[HostArray, "4 4"]
@@ -60,7 +60,7 @@ class _Placed(NamedTuple):
 def read_three(content: Mapping[str, Any]) -> SceneFile:
     """Reads the meshes, cameras and lights of a file's content.
 
-    **Raises** `MeshError` if it is damaged, or holds what cannot be read.
+    **Raises** `MeshError` if it is damaged or cannot be read.
     """
     document = parse(content)
     remarks: list[str] = []
@@ -75,7 +75,7 @@ def read_three(content: Mapping[str, Any]) -> SceneFile:
         remarks.append(f"{some_of(hidden)}: visible = false, here or in a group around; left out")
     others = Counter(_OTHERS[entry.object.type] for entry in drawn if entry.object.type in _OTHERS)
     remarks += [f"{count} × {name}: left out" for name, count in others.items()]
-    # A camera sees whether it is in the scene's visible part or not.
+    # A camera works whether it is in the scene's visible part or not.
     cameras = [_camera(entry, remarks) for entry, _ in everything if entry.object.type in _CAMERAS]
     positions = {entry.object.uuid: entry.position for entry, _ in everything if entry.object.uuid}
     lights = [_light(entry, positions, remarks) for entry in drawn if entry.object.type in _LIGHTS]
@@ -84,11 +84,11 @@ def read_three(content: Mapping[str, Any]) -> SceneFile:
 
 
 def _walk(entry: Object, parent: Float[HostArray, "4 4"], visible: bool) -> Iterator[tuple[_Placed, bool]]:
-    """All objects, and whether they are drawn, parents before their children."""
+    """All objects, with parents before their children, and whether each is drawn."""
     to_world = parent @ _matrix(entry)
     visible = visible and entry.visible
     yield _Placed(entry, to_world), visible
-    # Of levels of detail, the finest is drawn.
+    # Only the finest level of detail is drawn.
     finest = min(entry.levels, key=lambda level: level.distance).object if entry.levels else None
     coarser = {level.object for level in entry.levels} - {finest}
     for child in entry.children:
@@ -117,15 +117,15 @@ def _matrix(entry: Object) -> Float[HostArray, "4 4"]:
 
 
 def _is_moved(entry: _Placed) -> bool:
-    # Lights stand at (0, 1, 0) from their creation.
+    # Lights are created at (0, 1, 0).
     own = _matrix(entry.object)
     return not (np.array_equal(own[:3, :3], np.eye(3)) and own[0, 3] == own[2, 3] == 0 and own[1, 3] in (0, 1))
 
 
 def _meshes(document: Document, drawn: list[_Placed], remarks: list[str]) -> tuple[list[SceneMesh], int]:
-    """The meshes that are drawn, and how many parts of such are left out: unreadable and invisible ones.
+    """The drawn meshes, and the number of parts that are unreadable or invisible.
 
-    **Raises** `MeshError` if all that there are cannot be read.
+    **Raises** `MeshError` if none of the meshes can be read.
     """
     stored = {entry.uuid: entry for entry in document.geometries}
     materials = {entry.uuid: entry for entry in document.materials}
@@ -166,7 +166,7 @@ def _meshes(document: Document, drawn: list[_Placed], remarks: list[str]) -> tup
 
 
 def _geometry(entry: _Placed, stored: Mapping[str, GeometryEntry], built: dict[str, Geometry]) -> Geometry:
-    """The geometry of a mesh, which is kept in `built`."""
+    """The geometry of a mesh, cached in `built`."""
     uuid = entry.object.geometry or ""
     if uuid not in stored:
         raise damaged(f"its mesh {entry.name} refers to a geometry that the file lacks")
@@ -210,7 +210,7 @@ def _parts(
     if not isinstance(used, list):
         yield entry.name, geometry.faces, materials.get(used or "", Material())
         return
-    # With a list of materials, the engine draws groups alone.
+    # With a list of materials, the engine draws only groups.
     for start, count, number in geometry.groups:
         if number < len(used):
             yield (
@@ -238,11 +238,11 @@ def _remark_geometry(entry: _Placed, stored: GeometryEntry, geometry: Geometry, 
     name = entry.name
     has_morphs = stored.data is not None and bool(stored.data.morph_attributes)
     if entry.object.type == "SkinnedMesh":
-        remarks.append(f"{name}: its skin is left out; its size and place are those of its vertices")
+        remarks.append(f"{name}: its skin is left out; its size and position come from its vertices")
     if has_morphs and any(entry.object.morph_target_influences):
         remarks.append(f"{name}: its morph targets are left out; the mesh is its base")
     if geometry.normals is None:
-        remarks.append(f"{name}: it has no normals, so that normalBias does not move it, and its shading is dark")
+        remarks.append(f"{name}: it has no normals, so normalBias does not move it, and its shading is dark")
 
 
 def _remark_material(name: str, material: Material, object: Object, remarks: list[str]) -> None:
@@ -258,16 +258,16 @@ def _remark_material(name: str, material: Material, object: Object, remarks: lis
     if material.map is not None:
         remarks.append(f"{name}: its texture is left out; shadows do not depend on it")
     if material.transparent and material.opacity < 1:
-        remarks.append(f"{name}: it is transparent, and opaque here; in shadow maps it is opaque in three.js, too")
+        remarks.append(f"{name}: it is transparent, but opaque here; in shadow maps it is also opaque in three.js")
     if material.type in _OWN_SHADERS:
         remarks.append(f"{name}: its {material.type} is left out; the vertices are as they are stored")
     elif object.receive_shadow and material.type in _UNLIT:
-        remarks.append(f"{name}: its {material.type} shows no shadows in three.js; here it does")
+        remarks.append(f"{name}: its {material.type} shows no shadows in three.js; here it shows them")
 
 
 def _camera(entry: _Placed, remarks: list[str]) -> SceneCamera:
     object = entry.object
-    # The engine leaves the scale out.
+    # The engine ignores the scale.
     right, up, backward = (entry.to_world[:3, i] / np.linalg.norm(entry.to_world[:3, i]) for i in range(3))
     eye, far = entry.to_world[:3, 3], None if math.isinf(object.far) else object.far
     if object.view is not None and object.view.get("enabled", True):
@@ -296,15 +296,15 @@ def _light(entry: _Placed, positions: Mapping[str, Vector], remarks: list[str]) 
     direction = None
     if kind != "point":
         if object.cast_shadow and object.target not in positions:
-            remarks.append(f"{entry.name}: its target is not in the scene, so that it is taken to be the origin")
+            remarks.append(f"{entry.name}: its target is not in the scene, so the origin is used")
         target = np.array(positions.get(object.target or "", (0.0, 0.0, 0.0)))
         direction = _vector(target - entry.position)
         if not any(direction):
-            # As the engine looks from a place to itself.
+            # The engine looks from a position at the same position.
             direction = (0.0, 0.0, -1.0)
             remarks.append(
-                f"{entry.name}: its target is at its own position, so that it has no direction; (0, 0, -1) is "
-                "taken, as in three.js' shadow camera"
+                f"{entry.name}: its target is at its own position, so it has no direction; (0, 0, -1) is used, as in "
+                "three.js' shadow camera"
             )
     inner = outer = None
     if kind == "spot":
@@ -333,7 +333,7 @@ def _shadow(kind: str, object: Object) -> SceneShadow:
         half = math.degrees(math.atan(math.tan(min(object.angle * shadow.focus, math.pi / 2 - 1e-9)) / camera.zoom))
     return SceneShadow(
         near=camera.near,
-        # A light's range takes the place of its camera's far.
+        # A light's range replaces its camera's far plane.
         far=(object.distance or camera.far) if kind != "directional" else camera.far,
         window=_window(camera),
         map_size=(width, height),

@@ -1,6 +1,6 @@
 """The part of a three.js file (`Object3D.toJSON`, formats 4.x) that describes meshes, cameras, lights and shadows.
 
-Defaults are the engine's own (three.js r187), which older releases leave out of the file.
+Defaults are the engine's own (three.js r187). Older releases leave them out of the file.
 """
 
 import math
@@ -15,7 +15,7 @@ from ...settings.engines import ThreeJs
 from .._errors import MeshError, damaged
 from .._text import excerpt
 
-# JSON has no infinity; JavaScript writes null.
+# JSON has no infinity, so JavaScript writes null.
 _Far = Annotated[float, BeforeValidator(lambda value: math.inf if value is None else value)]
 _Matrix = Annotated[list[float], Field(min_length=16, max_length=16)]
 
@@ -75,7 +75,7 @@ class GeometryData(_Part):
 
 
 class GeometryEntry(_Part):
-    """A geometry: its data, or the parameters of one of the engine's own shapes, as keys beside `type`."""
+    """A geometry: its data, or the parameters of a built-in shape, as keys next to `type`."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -134,7 +134,7 @@ class Level(_Part):
 
 
 class Object(_Part):
-    """An object of the scene graph: a mesh, camera or light if its `type` says so."""
+    """An object of the scene graph. Its `type` may make it a mesh, camera or light."""
 
     uuid: str = ""
     type: str = "Object3D"
@@ -192,7 +192,7 @@ def parse(content: Mapping[str, Any]) -> Document:
     **Raises** `MeshError` if it is not a file of three.js, or breaks the format, and `RecursionError` if its objects
     are nested too deeply.
     """
-    # The editor's file of a project holds its scene and its camera apart.
+    # The editor's project file stores its scene and its camera separately.
     inner, camera = content.get("scene"), content.get("camera")
     if "object" not in content and isinstance(inner, Mapping) and "object" in inner:
         content = inner
@@ -204,7 +204,7 @@ def parse(content: Mapping[str, Any]) -> Document:
         kind = metadata.get("type") if isinstance(metadata, Mapping) else None
         found = f"its metadata.type is {excerpt(str(kind))}" if kind else "it has neither object nor asset"
         raise MeshError(
-            f"holds no scene that can be read ({found}); expected what scene.toJSON() of three.js gives, or glTF 2.0"
+            f"holds no scene that can be read ({found}); expected the result of three.js' scene.toJSON(), or glTF 2.0"
         )
     try:
         document = Document.model_validate(content)

@@ -1,11 +1,10 @@
-"""Biases, which keep surfaces from shadowing themselves (acne), one technique per file.
+"""Biases, which keep surfaces from shadowing themselves (acne). Each technique has its own file.
 
-A texel stores one depth for a patch of surface, so a slanted receiver lies partly behind its own stored depth, which
-gives acne. Too much bias lights the shadow close to its caster: peter-panning. Unless noted otherwise, a bias is
-measured in texels, the width of a shadow-map texel at the receiver. This is the natural unit of the error: one value
-works at any scale, distance and map resolution. A bias of b texels along the light's axis is
-`b · view.texel_size(distance, resolution)` in world units. Multiply by `view.depth_slope(distance)` to get window
-depth.
+A texel stores one depth for a patch of surface. A slanted receiver is therefore partly behind its own stored depth,
+which causes acne. Too much bias lights the shadow close to its caster, which is called peter-panning. Unless noted
+otherwise, the unit of a bias is a texel, the width of a shadow-map texel at the receiver. This is the natural unit of
+the error: one value works at any scale, distance and map resolution. A bias of b texels along the light's axis is `b ·
+view.texel_size(distance, resolution)` in world units. Multiply by `view.depth_slope(distance)` to get window depth.
 """
 
 from ._abstract import AbstractBias as AbstractBias

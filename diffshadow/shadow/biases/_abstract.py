@@ -44,7 +44,7 @@ class BiasTerms(eqx.Module):
 
 
 class AbstractBias(CheckedModule):
-    """A way to keep receivers clear of their own depth."""
+    """A method that keeps receivers clear of their own depth."""
 
     @abc.abstractmethod
     def __call__(self, receiver: Receiver) -> BiasTerms:
@@ -62,7 +62,8 @@ class AbstractBias(CheckedModule):
 
     @property
     def reach(self) -> float:
-        """How far the bias moves the look-up at most, in texels; 0 if that is not known, such as under a trace."""
+        """The maximum distance by which the bias moves the look-up, in texels. 0 if unknown, for example inside
+        `jit`."""
         return 0.0
 
 
@@ -73,7 +74,7 @@ def in_depth(bias: Float[Array, "..."], unit: BiasUnit, receiver: Receiver) -> F
 
 
 def shader_of_length(length: str, unit: BiasUnit) -> str:
-    """The same in a shader."""
+    """The conversion to window depth in a shader."""
     return f"({length}) * at.depth_per_texel" if unit == "texels" else f"({length})"
 
 

@@ -18,14 +18,14 @@ class AdaptiveBias(AbstractBias):
     """The smallest bias that moves the receiver to the depth of its own plane at the centre of its texel.
 
     The map stores the plane's depth at that point, and only this depth can shadow the receiver falsely. If it is deeper
-    than the receiver, no bias is needed. On a plane with depth slopes `g_x` and `g_y` the bias is at most
-    `(|g_x| + |g_y|) / 2` texels, reached in the corners of a texel; a constant bias needs this maximum everywhere.
+    than the receiver, no bias is needed. On a plane with depth slopes `g_x` and `g_y`, the bias is at most `(|g_x| +
+    |g_y|) / 2` texels, in the corners of a texel. A constant bias needs this maximum everywhere.
 
-    Use it with a single nearest look-up. Wider kernels read other texels too: they need a `ReceiverPlane`.
+    Use it with a single nearest look-up. Wider kernels also read other texels, and need a `ReceiverPlane`.
 
-    - `epsilon`: added, in texels. It is the paper's adaptive epsilon, a length that is converted to window depth at the
-        receiver. In the paper, the length is a fraction of the scene's size; here it is a fraction of a texel. Rounding
-        is covered separately (`Receiver.rounding`).
+    - `epsilon`: an additional bias in texels. It is the paper's adaptive epsilon, a length that is converted to window
+      depth at the receiver. The paper's unit is the scene's size. Here the unit is a texel. Rounding is covered
+      separately (`Receiver.rounding`).
     """
 
     settings: ClassVar = Settings

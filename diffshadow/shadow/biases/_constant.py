@@ -14,7 +14,7 @@ from ._abstract import AbstractBias, BiasTerms, in_depth, shader_of_length
 
 
 class ConstantBias(AbstractBias):
-    """The same everywhere.
+    """A bias that is the same everywhere.
 
     - `value`: the bias along the light's axis, in `unit`. On a plane with depth slopes `g_x` and `g_y` along the map's
         axes, nearest look-ups need `(|g_x| + |g_y|) / 2` texels.

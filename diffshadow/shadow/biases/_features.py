@@ -1,4 +1,4 @@
-"""What a bias may depend on, in JAX and in a shader."""
+"""The values that a bias may depend on, in JAX and in a shader."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from ..._arithmetic import safe_norm, safe_sqrt
 from .._receiver import Receiver
 
-# Blockers farther away than this count as this far away, in texels.
+# Blockers farther away than this count as at this distance, in texels.
 _MAX_TEXELS = 16.0
 
 
@@ -18,7 +18,7 @@ class Feature(NamedTuple):
 
     - `of`: its value (h, w), at least 0.
     - `unit`: unit of the value.
-    - `shader`: the same number as an expression of a shader, in which `at` is a `ShadowReceiver`.
+    - `shader`: the same number as a shader expression in terms of `at`, a `ShadowReceiver`.
     """
 
     of: Callable[[Receiver], Float[Array, "h w"]]

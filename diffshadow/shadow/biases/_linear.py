@@ -1,4 +1,4 @@
-"""A linear combination of what a shader knows of the receiver."""
+"""A linear combination of values that a shader knows about the receiver."""
 
 from collections.abc import Mapping
 
@@ -27,8 +27,7 @@ class LinearBias(AbstractBias):
         - `sine`, `one_minus_cosine`: sin θ and 1 - cos θ, with θ the angle between normal and light;
         - `texel_size`: the width of a texel at the receiver, in percent of the map's depth range;
         - `distance`: the distance along the light's axis, 0 at the map's near plane and 1 at its far plane;
-        - `blocker_distance`: how far the map's depth at the receiver's texel lies in front of the receiver, in texels,
-            from 0 to 16.
+        - `blocker_distance`: the distance of the map's depth in front of the receiver, in texels, from 0 to 16.
 
     **Raises** `ValueError` if there are no weights, a name is not the name of a feature, or a weight is out of its
     range.
@@ -50,7 +49,7 @@ class LinearBias(AbstractBias):
             raise ValueError("the linear bias has no terms; expected one or more")
         for name, weight in self.weights.items():
             if name not in FEATURES:
-                raise ValueError(f"the linear bias has a term {name!r}; expected some of {', '.join(FEATURES)}")
+                raise ValueError(f"the linear bias has a term {name!r}; expected terms among {', '.join(FEATURES)}")
             check_value(f"LinearBias.weights[{name!r}]", weight, Settings.each()[name])
 
     def total(self, receiver: Receiver) -> Float[Array, "h w"]:

@@ -26,8 +26,9 @@ _FEATURE_OF: dict[OffsetProfile, str] = {
 class NormalOffset(AbstractBias):
     """Moves the look-up along the normal, by `value` texels times a profile of the angle θ to the light.
 
-    - `profile`: `"sine"` sin θ, `"constant"` 1, `"one_minus_cosine"` 1 - cos θ, or `"across"`: 1 - cos θ, and only the
-        part of the shift across the light, as in Godot. Exact under directional lights, close under others.
+    - `profile`: `"sine"` sin θ, `"constant"` 1, `"one_minus_cosine"` 1 - cos θ, or `"across"` 1 - cos θ, where only the
+      part of the shift across the light is applied, as in Godot. `"across"` is exact under directional lights, and
+      close under others.
     """
 
     settings: ClassVar = Settings
@@ -46,13 +47,13 @@ class NormalOffset(AbstractBias):
         moved = receiver.normal * (texels * receiver.texel_size)[..., None]
         if self.profile != "across":
             return BiasTerms(jnp.zeros_like(texels), moved)
-        # The part towards the light is taken back.
+        # Removes the part towards the light.
         return BiasTerms(-texels * jnp.clip(receiver.cosine, 0, 1) * receiver.depth_per_texel, moved)
 
     def shader(self, prefix: str = "") -> ShaderBias:
         about = f"along the normal, times the profile {self.profile}, in texels"
         constant = Constant(f"{prefix}NORMAL_OFFSET", number(self.value), about)
         length = f"SHADOW_{constant.name} * ({FEATURES[_FEATURE_OF[self.profile]].shader})"
-        # The part towards the light is taken back.
+        # Removes the part towards the light.
         back = f"-({length}) * clamp(at.cosine, 0.0, 1.0) * at.depth_per_texel"
         return ShaderBias(ShaderPart((constant,), ""), (back,) if self.profile == "across" else (), (length,))

@@ -1,4 +1,4 @@
-"""A small multilayer perceptron of what a shader knows of the receiver."""
+"""A small multilayer perceptron of values that a shader knows about the receiver."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -19,7 +19,7 @@ from ._features import FEATURES
 from ._linear import LinearBias
 
 MAX_WEIGHTS = 100
-"""The most weights of a perceptron, its linear terms included: a shader evaluates them for each pixel."""
+"""The maximum number of weights of a perceptron, including its linear terms. A shader evaluates them for each pixel."""
 
 
 class PerceptronBias(AbstractBias):
@@ -49,7 +49,7 @@ class PerceptronBias(AbstractBias):
 
         - `sizes`: sizes of the hidden layers.
 
-        **Raises** as the class does.
+        **Raises** the errors of the class.
         """
         keys = jax.random.split(jax.random.key(seed), len(sizes))
         widths = [len(_inputs(linear)), *sizes]
@@ -68,14 +68,14 @@ class PerceptronBias(AbstractBias):
     ) -> "PerceptronBias":
         """The perceptron with these numbers: for each hidden layer the weights, row by row, and the biases.
 
-        **Raises** as the class does, and if rows of weights differ in length.
+        **Raises** the errors of the class, and `ValueError` if rows of weights differ in length.
         """
         layers = []
         for weight, bias in hidden:
             lengths = {len(row) for row in weight}
             if len(lengths) != 1:
                 raise ValueError(f"rows of the perceptron's weights have lengths {sorted(lengths)}; expected all equal")
-            # Only its shape, since random numbers take time to compile.
+            # Only its shape, because random numbers take time to compile.
             empty = eqx.filter_eval_shape(eqx.nn.Linear, lengths.pop(), len(weight), key=jax.random.key(0))
             layers.append(eqx.tree_at(lambda x: (x.weight, x.bias), empty, (as_float(weight), as_float(bias))))
         return cls(linear, tuple(layers), as_float(last))
@@ -90,11 +90,11 @@ class PerceptronBias(AbstractBias):
             given = ", ".join(f"{rows} x {columns}" for rows, columns in [*shapes, (1, self.last.size)])
             raise ValueError(
                 f"the perceptron has {inputs} inputs and layers of {given} weights; expected one or more hidden "
-                "layers, each with as many columns as the one before has rows, and a bias for each row"
+                "layers, where the columns of each layer match the rows of the layer before, and a bias for each row"
             )
         if self.count > MAX_WEIGHTS:
             raise ValueError(
-                f"the perceptron has {self.count} weights; expected at most {MAX_WEIGHTS}: take smaller layers, or "
+                f"the perceptron has {self.count} weights; expected at most {MAX_WEIGHTS}: use smaller layers, or "
                 "fewer terms"
             )
         for known in map(concrete, jax.tree.leaves(eqx.filter((self.hidden, self.last), eqx.is_inexact_array))):
@@ -103,7 +103,7 @@ class PerceptronBias(AbstractBias):
 
     @property
     def weights(self) -> dict[str, Any]:
-        """Of the linear terms."""
+        """The weights of the linear terms."""
         return self.linear.weights
 
     @property
@@ -113,7 +113,7 @@ class PerceptronBias(AbstractBias):
 
     @property
     def count(self) -> int:
-        """How many weights there are, including the linear terms' weights."""
+        """The number of weights, including the weights of the linear terms."""
         return sum(leaf.size for leaf in jax.tree.leaves(eqx.filter(self, eqx.is_inexact_array)))
 
     def __call__(self, receiver: Receiver) -> BiasTerms:
@@ -163,7 +163,7 @@ class PerceptronBias(AbstractBias):
 
 
 def _inputs(linear: LinearBias) -> tuple[str, ...]:
-    # In the order of the table: JAX sorts the keys of mappings.
+    # In the order of the table, because JAX sorts the keys of mappings.
     return tuple(name for name in FEATURES if name in linear.weights and name != "one")
 
 

@@ -27,10 +27,10 @@ class ReceiverPlane(AbstractBias):
         axes. Other implementations use 1.
     - `limit`: upper bound on the fractional sampling error times `fudge`, in texels; `None` for no bound.
     - `deepening`: upper bound on the plane's depth at a tap relative to the receiver's depth, in texels; `None` for no
-        bound. The plane of a steep wall runs far below the floor at its foot, and so the floor shadows the wall
-        wherever the kernel reaches the floor. 0 prevents this without acne, but leaks a little light where something
-        touches the wall. A lower bound is not needed: a plane in front of the actual surface can only add light. Slopes
-        are clamped at 89.4°.
+        bound. The plane of a steep wall continues far below the floor at its foot, so the floor shadows the wall
+        wherever the kernel reaches the floor. 0 prevents this without acne, but leaks some light where another object
+        touches the wall. No lower bound is needed, because a plane in front of the actual surface can only add light.
+        Slopes are clamped at 89.4°.
     """
 
     settings: ClassVar = Settings

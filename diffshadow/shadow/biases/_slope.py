@@ -19,9 +19,9 @@ class SlopeBias(AbstractBias):
 
     - `value`: the bias along the light's axis, in `unit`.
     - `profile`: `"tangent"`, the norm of the receiver's depth slope in the map. With square texels and a directional
-        light it is tan θ, θ being the angle between normal and light. Nearest look-ups on a plane need a `value` from
-        1/2 (sloped along an axis of the map) to 1/√2 (along a diagonal) texels. Or `"one_minus_cosine"`, 1 - cos θ,
-        which is bounded and therefore too small for the steepest receivers.
+      light, it is tan θ, where θ is the angle between normal and light. Nearest look-ups on a plane need a `value` from
+      1/2 (sloped along an axis of the map) to 1/√2 (along a diagonal) texels. Or `"one_minus_cosine"`, 1 - cos θ, which
+      is bounded and therefore too small for the steepest receivers.
     - `least`, `most`: bounds of the bias, in `unit`; `None` for no bound.
     - `unit`: `"texels"`, or `"depth"` for window depth. `SlopeBias(0.05, "one_minus_cosine", least=0.005,
         unit="depth")` is the common bias of shader tutorials. To convert such values to texels, divide them by the

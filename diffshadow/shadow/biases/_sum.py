@@ -23,7 +23,7 @@ class Bias(AbstractBias):
 
     It is a bias (`AbstractBias`) itself, and adds up its parts: `Bias(constant=1.0, slope=2.0)` is a
     `ConstantBias(1.0)` and a `SlopeBias(2.0)`. A single part, or a bias of your own, can be used instead of the sum.
-    For a fit, its numbers are called `bias.constant`, `bias.slope` and so on.
+    In a fit, the names of its numbers are `bias.constant`, `bias.slope` and so on.
 
     - `constant`, `slope`, `normal_offset`: a number of texels, or a bias module; by default absent. (A configuration
         without a bias uses a rule of thumb: see `bias_for`.)

@@ -1,4 +1,4 @@
-"""Shadows as real-time engines draw them, in the engines' own names, units and defaults."""
+"""Shadows as in real-time engines, with the engines' own names, units and defaults."""
 
 from ...settings.engines import EngineName
 from ._abstract import AbstractEngineShadows as AbstractEngineShadows
@@ -23,4 +23,4 @@ from ._three import ThreeJs as ThreeJs
 ENGINE_TECHNIQUES: dict[EngineName, type[AbstractEngineShadows]] = {
     each.settings.type: each for each in (ThreeJs, BabylonJs, PlayCanvas, Bevy, GodotCompatibility)
 }
-"""The engines whose shadows are drawn here, by the types of their sections."""
+"""The engines whose shadows this package draws, by the types of their sections."""

@@ -1,4 +1,4 @@
-"""What the engines' shadows have in common."""
+"""Common code of the engines' shadows."""
 
 import abc
 import dataclasses
@@ -34,10 +34,11 @@ from ._taps import Compared
 
 
 class Place(eqx.Module):
-    """Where receivers lie in the light's window.
+    """The positions of receivers in the light's window.
 
-    - `u`, `v`, `z`: (h, w), window coordinates from 0 to 1; z is the depth. u runs to the left if the map is mirrored.
-    - `ahead`: (h, w), whether receivers are in front of the light; elsewhere the other fields are meaningless.
+    - `u`, `v`, `z`: (h, w), window coordinates from 0 to 1; z is the depth. u increases to the left if the map is
+      mirrored.
+    - `ahead`: (h, w), whether receivers are in front of the light. Elsewhere, the other fields are meaningless.
     - `depth_per_texel`: (h, w), window depth per width of a texel, the unit of a soft compare.
     """
 
@@ -51,7 +52,7 @@ class Place(eqx.Module):
     def of(
         cls, points: Float[Array, "h w 3"], view: View, resolution: Resolution, is_mirrored: bool = False
     ) -> "Place":
-        """Of `points` (h, w, 3), world units."""
+        """The window positions of `points` (h, w, 3), world units."""
         clip = view.clip(points)
         ahead = clip[..., 3] > 0
         w = jnp.where(ahead, clip[..., 3], 1)
@@ -68,13 +69,13 @@ class Place(eqx.Module):
 
 
 class AbstractEngineShadows(AbstractTechnique):
-    """Shadows as a real-time engine draws them.
+    """Shadows as in a real-time engine.
 
     - `compare`: how depths are compared; the hard compare is the engine's own.
     - `resolution`: resolution of the map, (height, width) in texels.
     - `has_layers`: whether cascades are separate layers instead of parts of one texture.
-    - `subpixels`: steps to a texel; the engine's rasterizer places vertices at whole steps. Most graphics hardware
-        has 256, Chromium's software rasterizer 16.
+    - `subpixels`: steps per texel. The engine's rasterizer places vertices at whole steps. Most graphics hardware has
+      256, and Chromium's software rasterizer 16.
     """
 
     compare: eqx.AbstractVar[AbstractCompare]
@@ -131,24 +132,24 @@ class AbstractEngineShadows(AbstractTechnique):
 
     @abc.abstractmethod
     def from_map(self, stored: Any, scene: Scene) -> EngineMap:
-        """The result of `prepare`, with a map that the engine drew in place of our map.
+        """The result of `prepare`, with the engine's map instead of this package's.
 
         **Arguments:**
 
         - `stored`: (h, w), the content of the engine's map, as read back, with its bottom row first; for a point light
-            (6, h, w), its faces in OpenGL's order.
-        - `scene`: with the engine's light and meshes; the meshes say which surfaces receive shadows.
+          (6, h, w), its faces in OpenGL's order.
+        - `scene`: the scene with the engine's light and meshes. The meshes define which surfaces receive shadows.
 
-        The settings must be those with which the map was drawn: their effect on depths is undone. The state can then be
-        used with other biases and radii.
+        The settings must be the ones that the map was drawn with, because their effect on depths is undone. The state
+        can then be used with other biases and radii.
 
-        **Raises** `ValueError` for another shape, for numbers that a map cannot contain, and what `prepare` raises.
+        **Raises** `ValueError` for another shape, for numbers that a map cannot contain, and the errors of `prepare`.
         """
 
     def with_depth(
         self, depth: Float[Array, "*l h w"], scene: Scene, light: AbstractLight, offset: Sequence[float]
     ) -> EngineMap:
-        """The map that stores `depth`; the other arguments are as for `drawn`."""
+        """The map that stores `depth`. The other arguments are as for `drawn`."""
         receives = [True] * len(scene.meshes) if scene.receives is None else scene.receives
         return EngineMap(depth, light, per_face(offset, scene), per_face(receives, scene))
 
@@ -185,9 +186,9 @@ class AbstractEngineShadows(AbstractTechnique):
 
     def frame(self, scene: Scene, distance: float) -> LightFrame:
         """The engine's camera for the light of `scene`, with values at the `distance` along its axis, in world units.
-        For several cascades, the value is that of the first cascade.
+        If there are several cascades, the value is for the first cascade.
 
-        **Raises** what `light_frame` and `cameras_of` raise.
+        **Raises** the errors of `light_frame` and `cameras_of`.
         """
         light = self.cameras_of(scene)
         count = light.count if isinstance(light, EngineCameras) and not self.has_layers else 1
@@ -228,9 +229,8 @@ class AbstractEngineShadows(AbstractTechnique):
         """Lines of code in the engine's language that set it; arguments are as for `engine_code`."""
 
     def covered(self, state: EngineMap, surface: Surface) -> Mask:
-        """Pixels that the engine's shadow decides, (h, w): they see a receiver within the light's frustum, on a face
-        turned to the light. Faces turned away from the light are dark in the engine's picture, with or without
-        shadow."""
+        """Pixels that the engine's shadow determines, (h, w). They see a receiver within the light's frustum, on a face
+        towards the light. Faces away from the light are dark in the engine's picture, with or without shadow."""
         return _covered(state, surface)
 
 
@@ -242,7 +242,7 @@ def _covered(state: EngineMap, surface: Surface) -> Mask:
 
 
 def within(state: EngineMap, surface: Surface) -> Mask:
-    """Pixels whose surface lies within the light's frustum, (h, w)."""
+    """Pixels whose surface is within the light's frustum, (h, w)."""
     if isinstance(state.light, PointLight):
         along = jnp.max(jnp.abs(surface.position - state.light.position), axis=-1)
         return (along >= state.light.near) & (along <= state.light.far)

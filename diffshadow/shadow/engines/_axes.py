@@ -16,11 +16,11 @@ _VERTICAL = 1e-9
 
 
 def engine_light(light: AbstractLight, nudge: float) -> AbstractLight:
-    """`light` with the axes of an engine's camera at the light's place, whose up direction is +y.
+    """`light` with the axes of an engine's camera at the light's position. The camera's up direction is +y.
 
     **Arguments:**
 
-    - `nudge`: what the engine adds to the z of the axis towards the light if the light looks straight up or down.
+    - `nudge`: the number that the engine adds to the z of the axis towards the light if the light is vertical.
 
     **Raises** `ValueError` for an area light.
     """
@@ -41,8 +41,8 @@ def refused_light(light: AbstractLight, kinds: Sequence[LightKind] = ("direction
 
 
 def upright_axes(direction: Any, nudge: float) -> Float[HostArray, "3 3"]:
-    """The directions right, up and back of an engine's camera that looks along `direction` (3,), whose up direction is
-    +y.
+    """The right, up and back directions of an engine's camera that looks along `direction` (3,), with +y as its up
+    direction.
 
     `nudge` is as for `engine_light`.
     """

@@ -41,7 +41,7 @@ from ._textures import as_half, bilinear, bilinear_in_cube, nearest, nearest_in_
 
 TENTS: dict[BabylonQuality, TentSize] = {"LOW": 1, "MEDIUM": 3, "HIGH": 5}
 """The size of the filter `PCF`, in texels."""
-# Of contact hardening's penumbra, in texels.
+# The size of contact hardening's penumbra, in texels.
 _MIN_PENUMBRA = 10.0
 
 
@@ -52,23 +52,22 @@ class BabylonJs(AbstractEngineShadows):
     axis of a directional or spot light, (r + n) / (f + n) at the distance r of a point light. Near n and far f are the
     engine's `light.shadowMinZ` and `light.shadowMaxZ`.
 
-    - `bias`: added to the depth of casters when the map is drawn: positive values push casters away from the light. In
-        metric; for `PCF`, and in the compares of `PCSS`, in depth from -1 to 1, and half as much in window depth. For
-        the blocker search of `PCSS`, both are added.
-    - `normal_bias`: how far the vertices of casters move against their normals, times the sine of the angle to the
-        light, in world units. It changes the map, so it has no derivative. The engine does not move meshes without
-        normals.
+    - `bias`: added to the depth of casters when the map is drawn: positive values push casters away from the light. Its
+      unit is the metric. For `PCF`, and in the compares of `PCSS`, it is depth from -1 to 1, which is half as much in
+      window depth. For the blocker search of `PCSS`, both are added.
+    - `normal_bias`: the shift of the casters' vertices against their normals, times the sine of the angle to the light,
+      in world units. It changes the map, so it has no derivative. The engine does not move meshes without normals.
     - `darkness`: the visibility that a full shadow leaves, from 0 to 1.
-    - `blur_scale`: the radius of `POISSONSAMPLING` in texels, under a point light in half texels at a face's centre;
-        or how many times fewer texels the blurred map has, where it has no derivative.
+    - `blur_scale`: the radius of `POISSONSAMPLING` in texels, or in half texels at a face's centre under a point light.
+      For blurred maps, the ratio of the map's size to the blurred map's size, which has no derivative.
     - `depth_scale`: the steepness of exponential maps.
     - `frustum_edge_falloff`: the width of the border over which shadows fade out, as a fraction of the map's half
         width. The border is a circle, so the corners of the map are lit.
     - `contact_hardening_light_size_uv_ratio`: the radius of `PCSS` divided by the width of the map.
     - `filter`: the generator's `FILTER_` constant.
     - `quality`: the generator's `filteringQuality`, for `PCF` and `PCSS`.
-    - `blur_kernel`, `blur_box_offset`, `use_kernel_blur`: the blur of exponential maps: the width in texels of the
-        Gaussian, how far the box reaches to each side in texels, and which one is used.
+    - `blur_kernel`, `blur_box_offset`, `use_kernel_blur`: the blur of exponential maps: the width of the Gaussian in
+      texels, the extent of the box to each side in texels, and whether the Gaussian is used.
     - `force_back_faces_only`: whether back faces cast. The engine culls back faces for meshes with its own, clockwise
         winding. For other meshes, such as those of its glTF loader, the setting has no effect: leave it out for these.
     - `back_face_culling`: whether the meshes' materials cull back faces: one value for all meshes, or one for each.
@@ -79,15 +78,15 @@ class BabylonJs(AbstractEngineShadows):
 
     Under a point light the engine draws `PCF` and `PCSS` as `POISSONSAMPLING`, and exponential maps without their blur.
 
-    The bias is added to a map that holds depths without it, so it has a derivative and needs no new map. In `PCF` and
-    `PCSS`, the bias also moves casters across the near and far planes, which clip them. The map keeps the casters that
-    were visible with its own bias.
+    The map stores depths without the bias, which is added later. The bias therefore has a derivative and needs no new
+    map. In `PCF` and `PCSS`, the bias also moves casters across the near and far planes, which clip them. The map keeps
+    the casters that were visible with its own bias.
 
     Rounding to half floats has the derivative of the unrounded value. The radius of `POISSONSAMPLING` has a derivative
     through its bilinear taps. In the blocker search of `PCSS`, a soft compare weighs blockers. A total weight of less
     than 1 counts as no blocker.
 
-    The rotation of `PCSS` depends on how the device computes the sine: pixels differ between devices, but means agree.
+    The rotation of `PCSS` depends on the device's sine function. Pixels differ between devices, but means agree.
 
     **Raises** `ValueError` for a map that is not square.
     """
@@ -127,10 +126,11 @@ class BabylonJs(AbstractEngineShadows):
     def prepare(self, scene: Scene, surface: Surface | None = None) -> EngineMap:
         """The map of the scene's only light. Its depths do not include the bias. It does not depend on `surface`.
 
-        A light is drawn like Babylon.js' light at the same place. Babylon.js' light has the frustum of our light, and
-        its up direction is +y. The engine's cameras are left-handed. So its map is the mirror image of our light's
-        view: texels run from right to left, and `orthoLeft` and `orthoRight` are our values swapped, with opposite
-        signs. `angle` of a spot light is its full cone in radians. In cube maps, the world's y axis is flipped.
+        A light is drawn like Babylon.js' light at the same position. Babylon.js' light has the frustum of this light,
+        and its up direction is +y. The engine's cameras are left-handed, so its map is the mirror image of this light's
+        view. Texels run from right to left, and `orthoLeft` and `orthoRight` are the values of this light, swapped and
+        with opposite signs. `angle` of a spot light is its full cone in radians. In cube maps, the world's y axis is
+        flipped.
 
         **Raises** `ValueError` for an area light, or if `back_face_culling` does not have one value or one for each
         mesh.
@@ -143,7 +143,7 @@ class BabylonJs(AbstractEngineShadows):
         return self._blurring(self.drawn(moved, light, sides, [0.0] * len(meshes), is_mirrored=True, push=push))
 
     def from_map(self, stored: Any, scene: Scene) -> EngineMap:
-        """The state that `prepare` returns, with the map that the engine has drawn in place of our map.
+        """The result of `prepare`, with the engine's map instead of this package's.
 
         `stored` is the depth texture for `PCF` and `PCSS` under directional and spot lights, and otherwise the colour:
         the metric with the bias, or its exponential, before any blur. It is mirrored, as in the engine. For the
@@ -211,8 +211,8 @@ class BabylonJs(AbstractEngineShadows):
     def visibility(self, state: EngineMap, surface: Surface) -> Visibility:
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
 
-        Points beside the light's frustum are lit. With `PCF` and `PCSS`, points in front of the near plane or beyond
-        the far plane are lit too. With other filters, points beyond the far plane stay in shadow. Faces turned away
+        Points to the side of the light's frustum are lit. With `PCF` and `PCSS`, points in front of the near plane or
+        beyond the far plane are also lit. With other filters, points beyond the far plane stay in shadow. Faces away
         from the light are compared like all other faces.
         """
         return _visibility(self, state, surface)
@@ -222,7 +222,7 @@ def shrunk(mesh: Mesh, light: AbstractLight, normal_bias: Scalar) -> Mesh:
     """`mesh` with vertices moved against their normals by `normal_bias` times the sine of the angle to `light`."""
     if concrete(normal_bias) == 0:
         return mesh
-    # A vertex with several normals moves to several places.
+    # A vertex with several normals moves to several positions.
     vertices = mesh.vertices[mesh.faces].reshape(-1, 3)
     normals = mesh.corner_normals.reshape(-1, 3)
     cosine = dot(normals, normalize(light.towards(vertices)))
@@ -236,7 +236,7 @@ def shrunk(mesh: Mesh, light: AbstractLight, normal_bias: Scalar) -> Mesh:
 def _visibility(settings: BabylonJs, state: EngineMap, surface: Surface) -> Visibility:
     _, receives = state.of_pixels(surface)
     of = _in_cube if isinstance(state.light, PointLight) else _in_window
-    # With a bias far from 0, the formula of `PCSS` goes beyond what is lit.
+    # With a bias far from 0, the formula of `PCSS` exceeds the lit range.
     return jnp.where(receives, in_unit_range(of(settings, state, surface.position)), 1)
 
 
@@ -300,7 +300,7 @@ def _in_cube(settings: BabylonJs, state: EngineMap, position: Float[Array, "h w 
     towards = position - light.position
     distance = safe_norm(towards)
     metric = jnp.clip((distance + light.near) / (light.near + light.far), 0, 1)
-    # The map's y runs the other way.
+    # The map's y axis is reversed.
     unit = towards / jnp.where(distance > 0, distance, 1)[..., None] * jnp.array([1.0, -1.0, 1.0])
     size = state.depth.shape[-1]
     _, _, _, along = place_in_cube(towards)
@@ -317,11 +317,11 @@ def _in_cube(settings: BabylonJs, state: EngineMap, position: Float[Array, "h w 
     return _exponentially(settings, bilinear_in_cube(bordered, unit, same), metric)
 
 
-# --- What maps hold ---
+# --- Contents of maps ---
 
 
 def _color(settings: BabylonJs, metric: Array, is_drawn: Array) -> Array:
-    """The map's colour: the biased metric or its exponential, as it is stored."""
+    """The map's colour: the stored metric with the bias, or its exponential."""
     biased = jnp.where(is_drawn, metric + settings.bias, 1)
     if settings.filter in ("EXPONENTIALSHADOWMAP", "BLUREXPONENTIALSHADOWMAP"):
         biased = exponential(biased, settings.depth_scale, is_drawn)
@@ -329,12 +329,12 @@ def _color(settings: BabylonJs, metric: Array, is_drawn: Array) -> Array:
 
 
 def _pushed(settings: BabylonJs, depth: Array) -> Array:
-    """The map's window depth; what the bias pushes beyond the far plane is clipped away."""
+    """The map's window depth. Depths that the bias pushes beyond the far plane are clipped."""
     return jnp.where(depth < 1, jnp.minimum(depth + settings.bias / 2, 1), 1)
 
 
 def _color_of_pushed(settings: BabylonJs, state: EngineMap) -> Array:
-    """The colour beside a depth map: the metric of what the bias has moved, plus the bias."""
+    """The colour next to a depth map: the metric of the depths that the bias has moved, plus the bias."""
     view = state.light.view()
     near, far = view.near, view.far
     metric = metric_in_window(state.depth, view)
@@ -363,7 +363,7 @@ def _contact_hardening(
 
     **Arguments:**
 
-    - `turn`: the angle by which each receiver's taps are turned.
+    - `turn`: the angle by which each receiver's taps are rotated.
     """
     u, v = at.u, at.v
     color, depth = _color_of_pushed(settings, state), _pushed(settings, state.depth)

@@ -1,4 +1,4 @@
-"""The colours of Babylon.js' maps: depth as a metric, its exponential, and what the blurs make of them."""
+"""The colours of Babylon.js' maps: depth as a metric, its exponential, and the results of the blurs."""
 
 from collections.abc import Callable
 from typing import Any
@@ -12,9 +12,9 @@ from ..._types import HostArray, Resolution, Scalar
 from ...geometry import AbstractLight, PointLight, View
 from ._textures import bilinear, rounded
 
-# Of numbers in the blur's shader.
+# Digits of numbers in the blur's shader.
 _DIGITS = 8
-# Exponents of more would overflow a float.
+# Larger exponents would overflow a float.
 MAX_EXPONENT = 87.0
 
 
@@ -43,7 +43,7 @@ def depth_of_metric(metric: Float[Array, "*l h w"], light: AbstractLight) -> Flo
 
 
 def _lengths(size: int) -> Float[Array, "n n"]:
-    """The distance to each texel's centre of a cube's face, per unit of distance along its axis."""
+    """The distance to the centre of each texel of a cube's face, per unit of distance along its axis."""
     across = (jnp.arange(size) + 0.5) * (2 / size) - 1
     return jnp.sqrt(1 + across * across + across[:, None] ** 2)
 
@@ -79,7 +79,7 @@ def _blurred(
 ) -> Array:
     """The sum of bilinear `taps` (n, 2) times their `shares`, at each texel of a map of `size`.
 
-    `place` gives the coordinates of as many texels along an axis, moved by an offset.
+    `place` gives the coordinates of texels along an axis, moved by an offset.
     """
     height, width = size
 
@@ -100,9 +100,9 @@ def _interpolated(count: int, offset: Array | float) -> Float[Array, " n"]:
 
 
 def _gaussian(kernel: float | int) -> tuple[HostArray, HostArray]:
-    """Places, in texels, and shares of the taps, in the engine's order and with its shader's digits.
+    """Positions, in texels, and shares of the taps, in the engine's order and with its shader's digits.
 
-    Each tap reads two texels of the kernel at once, between them.
+    Each tap reads two texels of the kernel at once, at a position between them.
     """
     ideal = int(np.floor(kernel + 0.5))
     # The engine's nearest kernel: odd, with an even number of texels on either side of the centre, and at least 3.
@@ -113,7 +113,7 @@ def _gaussian(kernel: float | int) -> tuple[HostArray, HostArray]:
     centre = (count - 1) // 2
     first, second = share[0:centre:2], share[1 : centre + 1 : 2]
     places = np.arange(0, centre, 2) - centre + second / (first + second)
-    # Of 3 texels, the centre belongs to both pairs.
+    # With 3 texels, the centre belongs to both pairs.
     second = second / 2 if centre % 2 else second
     places, shares = np.stack([places, -places], -1).ravel(), np.repeat(first + second, 2)
     if centre % 2 == 0:

@@ -1,4 +1,4 @@
-"""Where the filters of Babylon.js sample: facts of its pictures, which no rule gives.
+"""The sample positions of Babylon.js' filters, which do not follow a rule.
 
 They are the numbers in `Shaders/ShadersInclude/shadowsFragmentFunctions` of `@babylonjs/core` 9.34.0, which is under
 the Apache License 2.0.
@@ -11,10 +11,10 @@ import numpy as np
 POISSON = np.array(
     [(-0.94201624, -0.39906216), (0.94558609, -0.76890725), (-0.094184101, -0.92938870), (0.34495938, 0.29387760)]
 )
-"""(4, 2), of FILTER_POISSONSAMPLING, in units of its radius."""
+"""(4, 2), the taps of FILTER_POISSONSAMPLING, in units of its radius."""
 
 POISSON_CUBE = np.array([(-1.0, 1.0, -1.0), (1.0, -1.0, -1.0), (-1.0, -1.0, -1.0), (1.0, -1.0, 1.0)])
-"""(4, 3), of FILTER_POISSONSAMPLING under a point light, in units of its radius."""
+"""(4, 3), the taps of FILTER_POISSONSAMPLING under a point light, in units of its radius."""
 
 # fmt: off
 POISSON_32 = np.array(
@@ -29,7 +29,7 @@ POISSON_32 = np.array(
         (0.3916397, -0.4328209), (-0.03576927, -0.6220032), (-0.04661255, 0.7995201), (0.4402924, 0.3640312),
     ]
 )
-"""(32, 2), of FILTER_PCSS: the blocker search, and the compares of low and medium quality; in the unit disk."""
+"""(32, 2), the taps of FILTER_PCSS in the unit disk: the blocker search, and the compares of low and medium quality."""
 
 POISSON_64 = np.array(
     [
@@ -51,7 +51,7 @@ POISSON_64 = np.array(
         (-0.620106, -0.328104), (0.789239, -0.419965), (-0.545396, 0.538133), (-0.178564, -0.596057),
     ]
 )
-"""(64, 2), of FILTER_PCSS: the compares of high quality; in the unit disk."""
+"""(64, 2), the taps of FILTER_PCSS in the unit disk: the compares of high quality."""
 # fmt: on
 
 # A disk's mean square distance is half the square of its radius.

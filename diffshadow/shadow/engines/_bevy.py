@@ -42,26 +42,26 @@ from ._light import EngineLight, plain
 from ._taps import TentSize, castano_radius, tent
 
 _SIZES: dict[BevyFilter, TentSize] = {"Hardware2x2": 1, "Gaussian": 5}
-# The engine takes the diagonal of a texel.
+# The engine uses the diagonal of a texel.
 _DIAGONAL = math.sqrt(2)
-# Where a fit starts, and its bounds, in texels and in units of `shadow_normal_bias`.
+# The start of a fit, and its bounds, in texels and in units of `shadow_normal_bias`.
 _START, _MOST, _MOST_NORMAL = 1.0, 32.0, 4.0
-# A distance that is far beyond any scene: the far plane of spot lights is at infinity.
+# A distance far beyond any scene, because the far plane of spot lights is at infinity.
 _INFINITY = 1e6
 
 
 class Bevy(AbstractEngineShadows):
     """The shadows of Bevy 0.19 under directional and spot lights.
 
-    Fields have the names of the engine's own, in `DirectionalLight`, `SpotLight`, `ShadowFilteringMethod` and
+    Fields have the engine's names in `DirectionalLight`, `SpotLight`, `ShadowFilteringMethod` and
     `CascadeShadowConfigBuilder`. A directional light has the engine's cameras, which are fitted to the view of the
     scene's camera up to `maximum_distance`. Only the direction of the light matters.
 
     - `shadow_filtering_method`: the camera's filter: a tent over 5 texels, or one bilinear compare. `Temporal`, whose
         noise changes with time, is not drawn.
-    - `shadow_depth_bias`: how far receivers move towards the light, in world units.
-    - `shadow_normal_bias`: how far receivers move along their normals, in diagonals of a texel; under a spot light, the
-        texel at the receiver's distance counts.
+    - `shadow_depth_bias`: the shift of receivers towards the light, in world units.
+    - `shadow_normal_bias`: the shift of receivers along their normals, in diagonals of a texel. Under a spot light, the
+      texel is at the receiver's distance.
     - `num_cascades`, `minimum_distance`, `maximum_distance`, `first_cascade_far_bound`, `overlap_proportion`: settings
         of a directional light's cascades; distances in world units.
     - `shadow_map_near_z`: the near plane of a spot light, world units.
@@ -98,8 +98,8 @@ class Bevy(AbstractEngineShadows):
         size = self.resolution[0]
         if size & (size - 1):
             raise ValueError(
-                f"Bevy.resolution is {self.resolution}; expected a power of two, since the engine "
-                f"rounds other sizes up: {1 << size.bit_length()}"
+                f"Bevy.resolution is {self.resolution}; expected a power of two, because the engine rounds other "
+                f"sizes up: {1 << size.bit_length()}"
             )
 
     def prepare(self, scene: Scene, surface: Surface | None = None) -> EngineMap:
@@ -115,7 +115,7 @@ class Bevy(AbstractEngineShadows):
         return self._state(depth, scene, light)
 
     def from_map(self, stored: Any, scene: Scene) -> EngineMap:
-        """The state that `prepare` returns, with the map that the engine has drawn in place of our map.
+        """The result of `prepare`, with the engine's map instead of this package's.
 
         `stored` is the depth texture with its rows flipped, so that the bottom row comes first; for cascades (k, n, n),
         its layers. For the arguments and errors see `AbstractEngineShadows.from_map`.
@@ -153,8 +153,8 @@ class Bevy(AbstractEngineShadows):
         raise refused_light(light, self.settings.kinds)
 
     def _fitted(self, scene: Scene, light: DirectionalLight) -> EngineCameras:
-        """A directional light's cameras: squares as wide as the longest diagonal of what the camera sees, in whole
-        world units, at whole texels."""
+        """A directional light's cameras: squares as wide as the longest diagonal of the camera's view, in whole world
+        units, at whole texels."""
         axes = upright_axes(plain(light.direction), 0.0)
         ends = self._bounds()
         if not self.minimum_distance < ends[0] <= ends[-1]:
@@ -178,7 +178,7 @@ class Bevy(AbstractEngineShadows):
         return EngineCameras.of(cameras, False, scene.camera, ends)
 
     def _bounds(self) -> list[float]:
-        """Where each cascade ends."""
+        """The end of each cascade."""
         if self.num_cascades == 1:
             return [self.maximum_distance]
         first, count = self.first_cascade_far_bound, self.num_cascades
@@ -247,8 +247,8 @@ class Bevy(AbstractEngineShadows):
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
 
         Points outside of a directional light's cascade, or beyond the last cascade, are lit. Under a spot light, points
-        outside of the map are compared with the map's border. Faces turned away from the light are compared like all
-        other faces.
+        outside of the map are compared with the map's border. Faces away from the light are compared like all other
+        faces.
         """
         return _visibility(self, state, surface)
 
@@ -258,7 +258,7 @@ def _float(value: float) -> str:
 
 
 def _floats(numbers: str) -> str:
-    """Numbers, apart by commas, as Rust's floats: a whole one has a point."""
+    """Numbers separated by commas, as Rust's floats. Whole numbers have a point."""
     return ", ".join(text if any(each in text for each in ".e") else f"{text}.0" for text in numbers.split(", "))
 
 
@@ -267,7 +267,7 @@ def _written(value: float | int) -> str:
 
 
 def camera_of(light: MatrixLight) -> CameraOfLight:
-    """The camera of a light that is given by its matrices."""
+    """The camera of a light given by its matrices."""
     given, matrices = light.view(), (light.world_to_eye, light.eye_to_clip)
     pose, projection = (np.asarray(each) for each in matrices)
     return _camera(pose, projection, float(given.near), float(given.far))
@@ -279,7 +279,7 @@ def _camera(view: HostArray, projection: HostArray, near: float, far: float) -> 
 
 
 def _axes_about(direction: Any) -> Float[HostArray, "3 3"]:
-    """To the right, up and back of a spot light, whose up direction is not +y (Duff et al. 2017)."""
+    """The right, up and back directions of a spot light whose up direction is not +y (Duff et al. 2017)."""
     x, y, z = back = -np.asarray(direction, np.float64) / np.linalg.norm(direction)
     sign = 1.0 if z >= 0 else -1.0
     a = -1 / (sign + z)
@@ -333,7 +333,7 @@ def _under_spot(
     at_unit = 2 / (scale * size)
     offset = normal * (settings.shadow_normal_bias * _DIAGONAL * at_unit * distance)[..., None]
     moved = settings.shadow_depth_bias * normalize(towards) + offset - towards
-    # Its axes alone: the light is at the origin.
+    # Only its axes, because the light is at the origin.
     x, y, z = (jnp.sum(light.world_to_eye[0, k, :3] * moved, axis=-1) for k in range(3))
     ahead = z < 0
     along = jnp.where(ahead, -z, 1)

@@ -1,4 +1,4 @@
-"""Light cameras that an engine chooses itself: fits to what a camera sees, and matrices as engines round them."""
+"""Light cameras that an engine chooses: fits to a camera's view, and matrices with the engines' rounding."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -20,8 +20,8 @@ class CameraOfLight(NamedTuple):
 
     - `world_to_eye`, `eye_to_clip`: (4, 4), by OpenGL's conventions, for column vectors.
     - `near`, `far`: distances along its axis where window depth is 0 and 1, world units.
-    - `to_clip`: (4, 4), from world space to clip space as the engine computes it; with reversed depth, if the engine
-        has it, depth over w is from 1 at near to 0 at far.
+    - `to_clip`: (4, 4), from world space to clip space as the engine computes it. If the engine has reversed depth,
+      depth over w is from 1 at near to 0 at far.
     - `to_window`: (4, 4), from world space to the map as the engine computes it: x and y over w are from 0 to 1 over
         the whole texture, z over w is depth from 0 to 1.
     """
@@ -35,16 +35,15 @@ class CameraOfLight(NamedTuple):
 
 
 class EngineCameras(AbstractLight):
-    """A light with the cameras that an engine gives it: one, or one for each cascade.
+    """A light with the engine's cameras: one, or one for each cascade.
 
     - `world_to_eye`, `eye_to_clip`, `near`, `far`, `to_clip`, `to_window`: one for each of the k cameras, see
         `CameraOfLight`.
-    - `camera`: the view of the camera that they are fitted to; None if they are not fitted.
-    - `ends`: (k,), the depth along the camera's axis up to which each cascade is looked up, world units; beyond the
-        last depth there are no shadows. `None` for a light without such ends.
-    - `is_perspective`: whether it is a spot light rather than a directional one.
-    - `inner_cosine`: cosine of the angle within which a spot light shines with all its strength; `None` if that is its
-        window.
+    - `camera`: the view of the camera that they are fitted to; `None` if they are not fitted.
+    - `ends`: (k,), the depth along the camera's axis up to which each cascade is looked up, in world units. There are
+      no shadows beyond the last depth. `None` for a light without such ends.
+    - `is_perspective`: whether it is a spot light instead of a directional light.
+    - `inner_cosine`: cosine of the angle within which a spot light has its full strength; `None` if this is its window.
     """
 
     world_to_eye: Float[Array, "k 4 4"] = eqx.field(converter=as_float)
@@ -105,7 +104,7 @@ class EngineCameras(AbstractLight):
         return jnp.minimum(beyond, self.count - 1)
 
     def depth(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
-        """The depth of `points` along the axis of the camera that the cameras are fitted to, world units."""
+        """The depth of `points` along the axis of the camera that the cameras are fitted to, in world units."""
         assert self.camera is not None
         return self.camera.distance(points)
 
@@ -138,12 +137,12 @@ class EngineCameras(AbstractLight):
 
 
 def in_order(matrix: Float[Array, "*m 4 4"], points: Float[Array, "*n 3"]) -> Float[Array, "*k 4"]:
-    """`matrix` times [p, 1], to the bit as software rasterizers compute it: by columns, each product rounded."""
+    """`matrix` times [p, 1], with the rounding of software rasterizers: by columns, with each product rounded."""
     columns = [rounded(matrix[..., k] * points[..., k : k + 1]) for k in range(3)]
     return ((columns[0] + columns[1]) + columns[2]) + matrix[..., 3]
 
 
-# --- Fits to what a camera sees ---
+# --- Fits to a camera's view ---
 
 
 def frustum_corners(camera: AbstractCamera, near: float, far: float) -> Float[HostArray, "8 3"]:
@@ -170,7 +169,7 @@ def sphere_from_mean(corners: Float[HostArray, "n 3"]) -> tuple[Float[HostArray,
 
 
 def split_depths(near: float, far: float, count: int, logarithmic: float) -> list[float]:
-    """Where each of `count` cascades ends: a mix of equal parts and equal ratios of depth, where `logarithmic` is the
+    """The end of each of `count` cascades: a mix of equal parts and equal ratios of depth, where `logarithmic` is the
     share of equal ratios."""
     parts = [i / count for i in range(1, count)]
     mixed = [
@@ -180,8 +179,8 @@ def split_depths(near: float, far: float, count: int, logarithmic: float) -> lis
 
 
 def inverse_pose(axes: Float[HostArray, "3 3"], eye: Any) -> Float[HostArray, "4 4"]:
-    """World space to the space of an eye whose right, up and backward directions are `axes`: the inverse of its pose,
-    with the pose and the inverse stored in single precision."""
+    """World space to the space of an eye with the right, up and backward directions `axes`: the inverse of its pose,
+    with both stored in single precision."""
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = np.transpose(axes), np.asarray(eye, np.float64)
     return np.linalg.inv(pose.astype(np.float32).astype(np.float64)).astype(np.float32)
@@ -227,21 +226,21 @@ def in_single(*matrices: HostArray) -> Float[HostArray, "4 4"]:
 # --- Cascades in one texture ---
 
 Places = tuple[tuple[float, float], ...]
-"""Where the cascades' squares begin, x and y, in a texture that they share, whose sides are 1."""
+"""The corners x and y of the cascades' squares in a texture that they share, whose sides are 1."""
 
 QUARTERS: Places = ((0.0, 0.0), (0.0, 0.5), (0.5, 0.0), (0.5, 0.5))
 """Of PlayCanvas."""
 
 
 def quarter_of(resolution: Resolution, count: int) -> Resolution:
-    """(height, width) in texels of each of `count` maps in a texture of this `resolution`; a single map fills the whole
+    """(height, width) in texels of each of `count` maps in a texture of this `resolution`. A single map fills the whole
     texture."""
     height, width = resolution
     return resolution if count == 1 else (height // 2, width // 2)
 
 
 def in_quarters(layers: Float[Array, "*k h w"], places: Places, empty: float) -> Float[Array, "H W"]:
-    """One texture of up to four `layers`, at `places`; its other texels are `empty`. A single map fills the whole
+    """One texture of up to four `layers`, at `places`. Its other texels are `empty`. A single map fills the whole
     texture."""
     if layers.ndim == 2:
         return layers
@@ -253,7 +252,7 @@ def in_quarters(layers: Float[Array, "*k h w"], places: Places, empty: float) ->
 
 
 def of_quarters(texture: Float[Array, "H W"], count: int, places: Places) -> Float[Array, "*k h w"]:
-    """The layers of a texture that `in_quarters` made."""
+    """The layers of a texture from `in_quarters`."""
     if count == 1:
         return texture
     height, width = (side // 2 for side in texture.shape)

@@ -1,4 +1,4 @@
-"""Fitted settings as the code that one pastes into a program that uses the engine."""
+"""Fitted settings as code to paste into a program that uses the engine."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
@@ -18,15 +18,15 @@ def engine_code(
     distances: tuple[float, float],
     origin: Origin = WORLD,
 ) -> str:
-    """Code in the engine's language that sets `settings` for `light`, with comments on where they are valid.
+    """Code in the engine's language that sets `settings` for `light`, with comments on its range of validity.
 
     **Arguments:**
 
     - `light`: a light of this library, or the engine's light.
-    - `distances`: distances of the nearest and the farthest receiver along the light's axis, world units.
-    - `origin`: the world point that the coordinates of the light's scene are counted from.
+    - `distances`: distances of the nearest and the farthest receiver along the light's axis, in world units.
+    - `origin`: the world point that the coordinates of the light's scene are relative to.
 
-    **Raises** what `EngineLight.of` raises.
+    **Raises** the errors of `EngineLight.of`.
     """
     given = light if isinstance(light, EngineLight) else EngineLight.of(light, settings.resolution)
     return "\n".join([*settings.code(given, distances, origin), ""])
@@ -81,11 +81,11 @@ def babylon_js_code(
     settings: "BabylonJs", given: EngineLight, distances: tuple[float, float], origin: Origin
 ) -> list[str]:
     is_point = given.type == "point"
-    # The others' bias is a part of a range that is linear in depth.
+    # The other filters' bias is a fraction of a range that is linear in depth.
     by_depth = settings.filter in ("PCF", "PCSS") and not is_point
     bias, normal_bias = float(settings.bias), float(settings.normal_bias)
     if by_depth:
-        # Half of it is window depth. It pushes casters, as a negative bias lifts receivers.
+        # Half of it is window depth. It pushes casters, in the same way as a negative bias lifts receivers.
         amount = in_world(given, -bias / 2, distances)
     else:
         amount = f"{about(bias * (given.near + given.far if is_point else given.far - given.near))} world units"
@@ -112,14 +112,14 @@ def babylon_js_code(
 
 
 def _babylon_light(given: EngineLight, origin: Origin) -> list[str]:
-    """What places the light and its camera."""
+    """The position of the light and its camera."""
     lines = [f"light.position = new BABYLON.Vector3({place(given.position, origin)});"]
     if given.direction is not None:
         lines += [f"light.direction = {_vector(given.direction)};"]
     if given.angle is not None:
         lines += [f"light.angle = {number(2 * given.angle)};  // radians, the full cone"]
     if given.window is not None:
-        # The engine's camera is left-handed: its x runs the other way.
+        # The engine's camera is left-handed, so its x axis is reversed.
         left, right, top, bottom = (given.window[key] for key in ("left", "right", "top", "bottom"))
         window = {"orthoLeft": -right, "orthoRight": -left, "orthoTop": top, "orthoBottom": bottom}
         lines += ["light.autoUpdateExtends = false;", "light.shadowOrthoScale = 0;"]
@@ -191,12 +191,12 @@ def in_texels(light: EngineLight, length: float, width: int) -> str:
 
 
 def about(value: float) -> str:
-    """What a setting amounts to."""
+    """The effect of a setting in world units."""
     return f"{value + 0.0:.5g}"
 
 
 def place(position: Sequence[float], origin: Origin) -> str:
-    """A point of the world as text; `position` is counted from `origin`, in single precision."""
+    """A point of the world as text. `position` is relative to `origin`, in single precision."""
     if origin == WORLD:
         return ", ".join(map(number, position))
     return ", ".join(f"{float(number(at)) + start:.15g}" for at, start in zip(position, origin, strict=True))

@@ -1,8 +1,8 @@
 """One bias in the units of several engines.
 
-The formulas of three.js r187, Babylon.js 9.34, and Bevy 0.19 under directional and spot lights, are checked against
-pictures that these engines drew. The formulas of Godot 4, Filament and Unity, and of Bevy's point light, are read from
-their sources and documentation, and not verified against the engines.
+The formulas of three.js r187, Babylon.js 9.34, and Bevy 0.19 under directional and spot lights are checked against
+pictures from these engines. The formulas of Godot 4, Filament and Unity, and of Bevy's point light, come from their
+sources and documentation. They are not verified against the engines.
 """
 
 import math
@@ -21,8 +21,8 @@ class EngineSetting(NamedTuple):
     """A setting of an engine.
 
     - `engine`, `setting`: their names, such as `"three.js"` and `"light.shadow.bias"`.
-    - `value`: the value in the engine's unit, or `None` if the engine has no counterpart; `note`: what else the value
-        depends on.
+    - `value`: the value in the engine's unit, or `None` if the engine has no counterpart; `note`: further conditions of
+      the value.
     - `is_verified`: whether the formula is checked against the engine's own pictures.
     """
 
@@ -34,12 +34,12 @@ class EngineSetting(NamedTuple):
 
 
 class _Common(NamedTuple):
-    """What the formulas share: the shift b and a texel's width t in world units, the normal offset m in texels, near n,
-    far f, the range D = f - n, and the distance d along the light's axis.
+    """The common inputs of the formulas: the shift b and a texel's width t in world units, the normal offset m in
+    texels, near n, far f, the range D = f - n, and the distance d along the light's axis.
 
-    - `power`, `offset_power`: powers of the distance with which b and m t grow; None under a directional light, where
-        nothing varies with distance.
-    - `softness`: by which Godot and Unity multiply what is set.
+    - `power`, `offset_power`: powers of the distance with which b and m t grow; `None` under a directional light, where
+      nothing varies with distance.
+    - `softness`: Godot's and Unity's factor on the set value.
     """
 
     b: float
@@ -75,7 +75,7 @@ class PlainBias(NamedTuple):
 
     - `shift`: shift towards the light, in world units; `power`: the power of the distance with which it grows.
     - `offset`: shift along normals, in texels; `offset_power`: the power of the distance with which its length grows;
-        `profile`: how it grows with the angle to the light.
+      `profile`: its growth with the angle to the light.
     - `radius`: radius of a disk of taps that is as wide as the filter, in texels; `None` for a filter without a width.
     """
 
@@ -106,9 +106,9 @@ class LightFrame(NamedTuple):
 
 
 def light_frame(light: AbstractLight, resolution: Resolution, distance: float) -> LightFrame:
-    """The camera of an engine's light with a map of `resolution`; `distance` is as for `engine_settings`.
+    """The camera of an engine's light with a map of `resolution`. `distance` is as for `engine_settings`.
 
-    **Raises** what `engine_settings` raises.
+    **Raises** the errors of `engine_settings`.
     """
     light = engine_light(light, NO_NUDGE)
     if not light.is_directional and not distance > 0:
@@ -151,7 +151,7 @@ def engine_settings(
         quality's radius (1 for hard shadows). For Unity it is 1 for hard shadows, and 1.5, 2.5 or 3.5 for soft shadows
         of low, medium or high quality.
 
-    **Raises** `ValueError` for a distance that is not positive, and what `engine_light` raises.
+    **Raises** `ValueError` for a distance that is not positive, and the errors of `engine_light`.
     """
     kind, texel, near, far = light_frame(light, resolution, distance)
     powers = (None, None) if kind == "directional" else (power, offset_power)
@@ -160,7 +160,7 @@ def engine_settings(
     found = [*_three(common, kind), *_babylon(common, kind), *of(common)]
     if profile is None or normal_offset == 0:
         return found
-    # Unity moves nothing along normals under point lights, and of Godot only the sun's offset is known.
+    # Unity does not move receivers along normals under point lights. Godot's offset is known only for the sun.
     lacking = {"directional": set(), "spot": {"Godot 4"}, "point": {"Godot 4", "Unity URP"}}[kind]
     return [each for each in found if OFFSET_PROFILES[each.engine] == profile and each.engine not in lacking]
 
@@ -178,7 +178,7 @@ OFFSET_PROFILES: dict[str, OffsetProfile] = {
     "Filament": "sine",
     "Unity URP": "one_minus_cosine",
 }
-"""How each engine's normal offset grows with the angle to the light."""
+"""The growth of each engine's normal offset with the angle to the light."""
 
 
 def _three(c: _Common, kind: str) -> list[EngineSetting]:
@@ -191,7 +191,7 @@ def _three(c: _Common, kind: str) -> list[EngineSetting]:
 
 def _babylon(c: _Common, kind: str) -> list[EngineSetting]:
     linear = c.b / (c.n + c.f) if kind == "point" else c.b / c.depth
-    # In a parallel view, window depth is a part of the depth range.
+    # In a parallel view, window depth is a fraction of the depth range.
     unit = _DEPTH if kind == "directional" else "parts of the depth range"
     pcf = {"directional": 2 * c.b / c.depth, "spot": 2 * c.b * c.slope, "point": linear}[kind]
     note = c.shift("PCF becomes POISSON", 0) if kind == "point" else c.shift(_TWICE, 2)
@@ -238,7 +238,7 @@ def _bevy(c: _Common, is_verified: bool = True) -> list[EngineSetting]:
 
 
 def _unity(c: _Common, normal: float) -> list[EngineSetting]:
-    soft = "; hard shadows; more for soft ones" if c.softness == 1 else ""
+    soft = "; for hard shadows, larger for soft shadows" if c.softness == 1 else ""
     bias, normal = c.b / c.t / c.softness, normal / c.softness
     return [
         _read("Unity URP", "shadowBias (depth)", bias, c.shift(f"texels{soft}", 0)),

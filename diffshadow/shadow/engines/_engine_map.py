@@ -1,4 +1,4 @@
-"""What an engine draws from a light: which faces cast, and the depths that they leave in the map."""
+"""An engine's map for a light: the casting faces, and the depths in the map."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from ...geometry import AbstractLight, Mesh, PointLight, Scene, Textures, View, 
 from ...raster import SUBPIXELS, Surface, at_steps, barycentrics, interpolate, rasterize, rasterize_depth
 from ...settings.engines import Side
 
-# The least step of depths from 1/2 to 1.
+# The smallest step of depths from 1/2 to 1.
 _STEP = 2.0**-24
 
 
@@ -33,9 +33,9 @@ class EngineMap(eqx.Module):
     - `blurred`: (height, width) of the blurred map that the engine makes from this map; `None` if the engine makes no
         blurred map, or one of the same size.
     - `slope`: for engines that draw casters with a polygon offset: the change of window depth from texel to texel, the
-        larger of rows and columns; it has the shape of `depth`. Otherwise None.
+      larger of rows and columns, with the shape of `depth`. Otherwise `None`.
     - `drawn_with`: the number of slopes that `depth` already includes.
-    - `corners`: only for engines whose receivers move at their vertices. Otherwise None.
+    - `corners`: for engines whose receivers move at their vertices. Otherwise `None`.
     - `unit`: the unit of `depth`: window depth; the distance to a point light divided by its far; or reversed depth,
         from 1 at near to 0 at far, and 0 where the light sees nothing.
     """
@@ -64,7 +64,8 @@ class EngineMap(eqx.Module):
     @property
     def distances(self) -> tuple[Float[Array, "*l h w"], Scalar, Scalar]:
         """Distances along the axis of the light's view, in world units: the distances of the depths, of the nearest
-        near plane, and of the farthest far plane. If the map of a point light stores distances, these distances."""
+        near plane, and of the farthest far plane. If the map of a point light stores distances, the first entry has
+        these distances."""
         view = self.view
         near, far = (jnp.expand_dims(each, (-2, -1)) if jnp.ndim(each) else each for each in (view.near, view.far))
         if self.unit == "distance":
@@ -84,8 +85,8 @@ class EngineMap(eqx.Module):
         return self.depth > 0 if self.unit == "reversed" else self.depth < 1
 
     def sloped(self, count: Scalar) -> Float[Array, "*l h w"]:
-        """Depth with `count` slopes added; `count` is the factor of a polygon offset. If `drawn_with` is the same, the
-        result is the drawn depth to the bit."""
+        """Depth with `count` slopes added, where `count` is the factor of a polygon offset. If `drawn_with` is the
+        same, the result is the drawn depth to the bit."""
         if self.slope is None or self.drawn_with is None:
             return self.depth
         moved = self.depth + (count - self.drawn_with) * self.slope
@@ -111,7 +112,7 @@ class Corners(eqx.Module):
         """`values` of the corners, interpolated at the point that each pixel sees."""
         face = jnp.maximum(surface.face, 0)
         a, b, c = (self.positions[face, k] - surface.position for k in range(3))
-        # Of the areas opposite to the corners, with the sign that they have in the face's plane.
+        # The ratios of the areas opposite to the corners, with their signs in the face's plane.
         areas = jnp.stack([jnp.cross(b, c), jnp.cross(c, a), jnp.cross(a, b)], axis=-2)
         normal = jnp.sum(areas, axis=-2)
         weights = jnp.sum(areas * normal[..., None, :], axis=-1)
@@ -121,7 +122,7 @@ class Corners(eqx.Module):
 
 class Casters(NamedTuple):
     """The triangles that an engine draws into a map: `vertices` (v, 3) and `faces` (f, 3), all with their front towards
-    the light, and the textures that cut them out, if any."""
+    the light, and the textures that cut them out, if there are any."""
 
     vertices: Float[Array, "v 3"]
     faces: Int[Array, "f 3"]
@@ -129,14 +130,14 @@ class Casters(NamedTuple):
 
     @classmethod
     def of(cls, every: Sequence[Mesh], casting: Sequence[Side | None]) -> "Casters":
-        """The faces of each mesh that its entry in `casting` names; no faces of a mesh that does not cast."""
+        """The casting faces of each mesh by its entry in `casting`. A mesh that does not cast has none."""
         chosen = [(mesh, side) for mesh, side in zip(every, casting, strict=True) if side is not None]
         meshes, sides = zip(*chosen, strict=True)
         whole = merge(meshes).padded()
         mesh = merge(meshes)
         faces = np.asarray(mesh.faces)
         side = np.repeat(sides, [mesh.faces.shape[0] for mesh in meshes])
-        # A back face becomes a front face if its corners go the other way round.
+        # A back face becomes a front face if its corners are reversed.
         drawn = np.concatenate([faces[side != "back"], faces[side != "front"][:, ::-1]])
         padding = np.zeros((-len(drawn) % len(whole.faces), 3), faces.dtype)
         alpha_test = mesh.alpha_test
@@ -178,11 +179,11 @@ def map_of(
 
     **Arguments:**
 
-    - `subpixels`: steps to a texel; the rasterizer places vertices at whole steps before it computes depth.
-    - `is_mirrored`: draws what a left-handed camera sees: the map is mirrored along x, and a cube map along the world's
-        y.
-    - `push`: how far casters are pushed away from the light when the near and far planes clip them, in clip depth from
-        -1 to 1. Depths are those without it.
+    - `subpixels`: steps per texel. The rasterizer places vertices at whole steps before it computes depth.
+    - `is_mirrored`: draws the view of a left-handed camera. The map is mirrored along x, and a cube map along the
+      world's y.
+    - `push`: the shift of casters away from the light for clipping at the near and far planes, in clip depth from -1 to
+      1. Stored depths do not include it.
 
     **Raises** `ValueError` for a point light's map that is not square.
     """
@@ -195,7 +196,7 @@ def map_of(
     flip = is_mirrored and not isinstance(light, PointLight)
     push = as_float(push)
     clip = _snapped(view, casters.vertices, resolution, subpixels, flip, push)
-    # In a mirror, corners go the other way round.
+    # In a mirror image, corners are reversed.
     faces, alpha_test = casters.faces, casters.alpha_test
     if is_mirrored:
         faces, alpha_test = faces[:, ::-1], None if alpha_test is None else alpha_test.turned()
@@ -219,7 +220,7 @@ def sloped_map_of(
     units: Scalar,
 ) -> SlopedMap:
     """The depth of `casters` whose vertices have `clip` coordinates, drawn with a polygon offset of `factor` slopes and
-    `units` least steps of depth. Other arguments are as for `map_of`."""
+    `units` smallest steps of depth. Other arguments are as for `map_of`."""
     clip = at_steps(clip, resolution, subpixels)
     offset = (concrete(factor), concrete(units))
     drawn = rasterize(
@@ -238,11 +239,11 @@ def _on_planes(
     factor: Scalar,
     units: Scalar,
 ) -> tuple[Float[Array, "*l h w"], Float[Array, "*l h w"]]:
-    """The depth of the face that each texel sees, and its slope: by how much it changes along a row or a column,
-    whichever is more.
+    """The depth of the face that each texel sees, and its slope: the larger of its changes along a row and along a
+    column.
 
-    In the order of operations of Chromium's software rasterizer. Its last bits decide where a light's near plane is so
-    close that depths are nearly 1. Faces that reach behind the light keep the `drawn` depth.
+    Uses the order of operations of Chromium's software rasterizer. Its last bits matter where a light's near plane is
+    so close that depths are nearly 1. Faces that reach behind the light keep the `drawn` depth.
     """
     height, width = resolution
 
@@ -290,8 +291,8 @@ def reversed_map_of(
 
 @eqx.filter_jit
 def _forward(clip: Float[Array, "*l v 4"], is_flattened: Bool[Array, ""]) -> Float[Array, "*l v 4"]:
-    """Clip coordinates as OpenGL has them, of those with reversed depth; in a parallel view, with room for all that
-    `is_flattened`."""
+    """OpenGL's clip coordinates, from clip coordinates with reversed depth. In a parallel view, with space for all
+    geometry that `is_flattened`."""
     z, w = clip[..., 2], clip[..., 3]
     nearest = jnp.where(is_flattened, jnp.maximum(jnp.max(z, axis=-1, keepdims=True), 1), 1)
     return clip.at[..., 2].set(jnp.where(is_flattened, 1 - 2 * z / nearest, w - 2 * z))
@@ -326,8 +327,8 @@ def _steepness(corners: Float[Array, "h w 3 4"], resolution: Resolution) -> Floa
 def distance_map_of(
     casters: Casters, light: PointLight, resolution: Resolution, subpixels: int
 ) -> Float[Array, "6 n n"]:
-    """The distance from a point light divided by its far distance, as a shader writes it for each texel; at most 1, and
-    1 where a texel sees nothing. Arguments are as for `map_of`."""
+    """The distance from a point light divided by its far distance, as a shader writes it for each texel. It is at most
+    1, and 1 where a texel sees nothing. Arguments are as for `map_of`."""
     clip = _snapped(cube_view(light), casters.vertices, resolution, subpixels, False, as_float(0.0))
     seen = rasterize(clip, casters.faces, resolution, cull="back", alpha_test=casters.alpha_test).face
     return _distances_of(clip, seen, casters.vertices, casters.faces, light)
@@ -370,7 +371,7 @@ def _view_of(light: AbstractLight) -> View:
 
 
 def rounded(product: Array) -> Array:
-    """`product`, rounded before anything is added to it: compilers do not fuse a maximum into a multiply-add."""
+    """`product`, rounded before anything is added to it. Compilers do not fuse a maximum into a multiply-add."""
     return jnp.maximum(product, -jnp.finfo(product.dtype).max)
 
 
@@ -390,7 +391,7 @@ CUBE = np.array(
 
 @eqx.filter_jit
 def cube_view(light: PointLight, is_mirrored: bool = False) -> View:
-    """The six views of a cube map, each of exactly 90 degrees; `is_mirrored`: whether the world's y is mirrored."""
+    """The six views of a cube map, each of exactly 90 degrees. `is_mirrored`: whether the world's y is mirrored."""
     rows = jnp.asarray(CUBE) * jnp.array([1.0, 1.0, -1.0])[:, None]
     rows = rows * jnp.array([1.0, -1.0, 1.0]) if is_mirrored else rows
     moved = -jnp.sum(rows * light.position, axis=-1)

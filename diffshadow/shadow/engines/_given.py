@@ -1,4 +1,4 @@
-"""Lights from the numbers that engines have for them."""
+"""Lights from the numbers in engines."""
 
 import math
 from collections.abc import Sequence
@@ -17,9 +17,9 @@ Point = Sequence[float] | HostArray | Vec3
 """x, y and z, world units."""
 
 THREE_NUDGE = 1e-4
-"""What three.js adds to the z of the axis towards a light that looks straight up or down."""
+"""The number that three.js adds to the z of the axis towards a vertical light."""
 BABYLON_NUDGE = -1e-13
-"""What Babylon.js adds to it."""
+"""The number that Babylon.js adds to it."""
 
 
 def three_directional_light(
@@ -43,7 +43,7 @@ def three_directional_light(
         position.
     - `angular_radius`: angular radius of the light's disk, in degrees, for references; the engine has none.
 
-    **Raises** what `DirectionalLight` raises.
+    **Raises** the errors of `DirectionalLight`.
     """
     window = (left, right, top, bottom)
     return _parallel(position, np.subtract(target, position), window, (near, far), angular_radius, THREE_NUDGE)
@@ -69,15 +69,14 @@ def three_spot_light(
 
     - `position`, `target`: `light.position` and `light.target.position`, (3,), world units.
     - `angle`: `light.angle`: the angle from the cone's axis to its side, in radians.
-    - `penumbra`: `light.penumbra`, from 0 to 1: the part of the angle over which shading falls off.
+    - `penumbra`: `light.penumbra`, from 0 to 1: the fraction of the angle over which shading falls off.
     - `near`, `far`: distances of the planes of `light.shadow.camera`; `distance`: `light.distance`, which replaces far
         unless it is 0.
     - `focus`, `aspect`: focus and aspect of `light.shadow`.
-    - `resolution`: resolution of the map, (height, width); the window is as wide over its height as the map, times
-        `aspect`.
+    - `resolution`: resolution of the map, (height, width). The aspect of the window is the map's, times `aspect`.
     - `radius`: radius of the light's disk, in world units, for references; the engine has none.
 
-    **Raises** what `SpotLight` raises.
+    **Raises** the errors of `SpotLight`.
     """
     height, width = resolution
     direction, half_angle = np.subtract(target, position), math.degrees(angle * focus)
@@ -102,7 +101,7 @@ def three_point_light(
         unless it is 0.
     - `radius`: radius of the light's sphere, in world units, for references; the engine has none.
 
-    **Raises** what `PointLight` raises.
+    **Raises** the errors of `PointLight`.
     """
     return PointLight(position, near, distance or far, radius)
 
@@ -122,18 +121,18 @@ def babylon_directional_light(
 ) -> DirectionalLight:
     """Babylon.js' `DirectionalLight` whose `autoUpdateExtends` is false.
 
-    Its camera is left-handed, so that its left is this library's right.
+    Its camera is left-handed, so its left is this library's right.
 
     **Arguments:**
 
     - `position`, `direction`: `light.position` and `light.direction`, (3,), world units.
     - `ortho_left` to `ortho_bottom`: `light.orthoLeft` and the others, world units.
     - `shadow_min_z`, `shadow_max_z`: near and far, world units from the position.
-    - `shadow_ortho_scale`: `light.shadowOrthoScale`: how much the window is enlarged on each side, as a fraction of its
-        width and of its height.
+    - `shadow_ortho_scale`: `light.shadowOrthoScale`: the margin of the window on each side, as a fraction of its width
+      and of its height.
     - `angular_radius`: angular radius of the light's disk, in degrees, for references; the engine has none.
 
-    **Raises** what `DirectionalLight` raises.
+    **Raises** the errors of `DirectionalLight`.
     """
     across, upwards = ((ortho_right - ortho_left) * shadow_ortho_scale, (ortho_top - ortho_bottom) * shadow_ortho_scale)
     window = (-ortho_right - across, -ortho_left + across, ortho_top + upwards, ortho_bottom - upwards)
@@ -161,7 +160,7 @@ def babylon_spot_light(
     - `shadow_angle_scale`: `light.shadowAngleScale`.
     - `radius`: radius of the light's disk, in world units, for references; the engine has none.
 
-    **Raises** what `SpotLight` raises.
+    **Raises** the errors of `SpotLight`.
     """
     half_angle = math.degrees(angle * shadow_angle_scale / 2)
     return SpotLight(position, direction, half_angle, shadow_min_z, shadow_max_z, radius)
@@ -179,7 +178,7 @@ def babylon_point_light(
         far.
     - `radius`: radius of the light's sphere, in world units, for references; the engine has none.
 
-    **Raises** what `PointLight` raises.
+    **Raises** the errors of `PointLight`.
     """
     return PointLight(position, shadow_min_z, shadow_max_z, radius)
 
@@ -194,7 +193,7 @@ def _parallel(
 ) -> DirectionalLight:
     """The light of a parallel camera at `position`, with its left, right, top and bottom, and its near and far."""
     left, right, top, bottom = window
-    # A direction that is zero is refused by the light.
+    # The light rejects a zero direction.
     is_given = np.isfinite(direction).all() and np.any(direction)
     axes = upright_axes(direction, nudge) if is_given else np.eye(3)
     center = np.asarray(position, np.float64) + (left + right) / 2 * axes[0] + (top + bottom) / 2 * axes[1]
@@ -208,16 +207,16 @@ def _parallel(
 def fitted_directional_light(
     direction: Point, *, angular_radius: float = scene.DirectionalLight.angular_radius
 ) -> DirectionalLight:
-    """A directional light of an engine that fits its cameras to what the view camera sees.
+    """A directional light of an engine that fits its cameras to the view camera.
 
     **Arguments:**
 
     - `direction`: the direction in which the light shines, (3,).
     - `angular_radius`: angular radius of the light's disk, in degrees, for references; the engine has none.
 
-    **Raises** what `DirectionalLight` raises.
+    **Raises** the errors of `DirectionalLight`.
     """
-    # Any frustum: a light that stands before it keeps the direction's digits in code.
+    # Any frustum will do. A light in front of it keeps the direction's digits in code.
     return DirectionalLight(direction, (0.0, 0.0, 0.0), (1.0, 1.0), 1.0, 2.0, angular_radius)
 
 
@@ -239,7 +238,7 @@ def playcanvas_spot_light(
     - `outer_cone_angle`, `inner_cone_angle`: angles from the axis, in degrees.
     - `radius`: radius of the light's disk, in world units, for references; the engine has none.
 
-    **Raises** what `SpotLight` raises.
+    **Raises** the errors of `SpotLight`.
     """
     return SpotLight(position, direction, outer_cone_angle, range / 1000, range, radius, inner_cone_angle)
 
@@ -255,7 +254,7 @@ def playcanvas_omni_light(
     - `range`: `light.range`, world units; near is a thousandth of it.
     - `radius`: radius of the light's sphere, in world units, for references; the engine has none.
 
-    **Raises** what `PointLight` raises.
+    **Raises** the errors of `PointLight`.
     """
     return PointLight(position, range / 1000, range, radius)
 
@@ -279,7 +278,7 @@ def bevy_spot_light(
     - `outer_angle`, `inner_angle`: angles from the axis, in radians.
     - `radius`: radius of the light's disk, in world units, for references; without soft shadows the engine has none.
 
-    **Raises** what `SpotLight` raises.
+    **Raises** the errors of `SpotLight`.
     """
     outer, inner = math.degrees(outer_angle), math.degrees(inner_angle)
     return SpotLight(position, direction, outer, shadow_map_near_z, range, radius, inner)
@@ -301,7 +300,7 @@ def godot_spot_light(
     - `spot_range`: world units. `spot_angle`: from the axis, degrees.
     - `radius`: radius of the light's disk, in world units, for references; the Compatibility renderer has none.
 
-    **Raises** what `SpotLight` raises.
+    **Raises** the errors of `SpotLight`.
     """
     return SpotLight(position, direction, spot_angle, min(0.025, spot_range / 2), spot_range, radius)
 
@@ -317,6 +316,6 @@ def godot_omni_light(
     - `omni_range`: world units.
     - `radius`: radius of the light's sphere, in world units, for references; the Compatibility renderer has none.
 
-    **Raises** what `PointLight` raises.
+    **Raises** the errors of `PointLight`.
     """
     return PointLight(position, omni_range / 1000, omni_range, radius)

@@ -46,10 +46,10 @@ from ._taps import mean_of
 from ._textures import bilinear, bilinear_in_cube, place_in_cube, with_borders
 
 _CROSS = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)]
-# Those which the engine takes first: where they agree, it takes no others.
+# The first taps. If they agree, the engine takes no others.
 _FIRST = [(0, 0), (2, 0), (-2, 0), (0, 2), (0, -2)]
 _DIAMOND = [*_FIRST, *_CROSS[1:], (1, 1), (-1, 1), (1, -1), (-1, -1)]
-# From it they agree, of the mean of the first.
+# From this many taps on, the mean of the first ones is used if they agree.
 _SAME = 2e-7
 _TAPS: dict[GodotQuality, list[tuple[int, int]]] = {
     "HARD": _CROSS[:1],
@@ -59,38 +59,38 @@ _TAPS: dict[GodotQuality, list[tuple[int, int]]] = {
     "SOFT_HIGH": _DIAMOND,
     "SOFT_ULTRA": _DIAMOND,
 }
-# Where the four splits end, as shares of the depths.
+# The ends of the four splits, as shares of the depths.
 _SPLITS = (0.1, 0.2, 0.5, 1.0)
-# Parts of the depth range, and of a spot light's range, per unit of `shadow_bias`.
+# Fractions of the depth range, and of a spot light's range, per unit of `shadow_bias`.
 _PARTS, _SPOT_PARTS = 0.01, 0.1
-# Normal offset of positional lights, per unit of the distance and over the size of their part of the atlas.
+# Normal offset of positional lights, per unit of the distance and divided by the size of their part of the atlas.
 _POSITIONAL = 10.0
 # Near plane of spot lights, world units.
 _NEAR = 0.025
-# A quarter for each split, at these corners.
+# Each split has a quarter, at these corners.
 _PLACES = ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (0.5, 0.5))
 _MOST_BIAS, _MOST_NORMAL = 10.0, 4.0
 
 
 class GodotCompatibility(AbstractEngineShadows):
-    """The shadows of Godot 4.6 as its Compatibility renderer draws them. Forward+ and Mobile draw others.
+    """The shadows of Godot 4.6 in its Compatibility renderer. Forward+ and Mobile draw different shadows. Fields have
+    the engine's names in `Light3D`, `DirectionalLight3D` and the project's settings. A directional light has the
+    engine's cameras, which are fitted to the view of the scene's camera up to `directional_shadow_max_distance`. Only
+    the direction of the light matters.
 
-    Fields have the names of the engine's own, in `Light3D`, `DirectionalLight3D` and the project's settings. A
-    directional light has the engine's cameras, which are fitted to the view of the scene's camera up to
-    `directional_shadow_max_distance`. Only the direction of the light matters.
-
-    - `soft_filter_quality`: one bilinear compare, or the mean of 5 or 13 compares; always one under a point light.
+    - `soft_filter_quality`: one bilinear compare, or the mean of 5 or 13 compares. Under a point light, it is always
+      one compare.
     - `shadow_bias`: moves casters' vertices away from the light, along the rays from the light's camera. Under a
         directional light, the unit is a hundredth of the depth range over the distance; under a spot light, a tenth of
         the light's range over the distance; under a point light, world units. It changes the map, so it has no
         derivative under directional and spot lights.
-    - `shadow_normal_bias`: how far receivers move along their normals, at each vertex. Under a directional light it is
-        in texels, and less on faces that are turned away from the light. Otherwise `10 / size` of the distance times
-        1 - |cos θ|, where size is the size of the light's part of the atlas.
+    - `shadow_normal_bias`: the shift of receivers along their normals, at each vertex. Under a directional light, it is
+      in texels, and smaller on faces away from the light. Otherwise `10 / size` of the distance times 1 - |cos θ|,
+      where size is the size of the light's part of the atlas.
     - `directional_shadow_mode`: one camera, or four splits.
-    - `directional_shadow_max_distance`, `directional_shadow_pancake_size`: how far shadows reach, and the depth of the
-        space for casters in front of the camera's view, world units.
-    - `directional_shadow_fade_start`: the share of that distance where shadows begin to fade out.
+    - `directional_shadow_max_distance`, `directional_shadow_pancake_size`: the shadow distance, and the depth of the
+      space for casters in front of the camera's view, in world units.
+    - `directional_shadow_fade_start`: the fraction of the shadow distance where shadows begin to fade out.
     - `side`: the faces that the meshes' materials keep, which therefore cast; one value for all meshes, or one for
         each.
     - `resolution`, `subpixels`, `compare`: see `AbstractEngineShadows`. Maps are square. Under a point light it is the
@@ -136,7 +136,7 @@ class GodotCompatibility(AbstractEngineShadows):
         return self._state(depth, scene, light)
 
     def from_map(self, stored: Any, scene: Scene) -> EngineMap:
-        """The state that `prepare` returns, with the map that the engine has drawn in place of our map.
+        """The result of `prepare`, with the engine's map instead of this package's.
 
         `stored` is the depth texture, with the splits arranged as in the engine. For the arguments and errors see
         `AbstractEngineShadows.from_map`.
@@ -187,7 +187,8 @@ class GodotCompatibility(AbstractEngineShadows):
         return min(float(scene.camera.far), self.directional_shadow_max_distance)
 
     def _fitted(self, scene: Scene, light: DirectionalLight) -> EngineCameras:
-        """A directional light's cameras: squares about spheres around what the camera sees, in steps of two texels."""
+        """A directional light's cameras: squares around bounding spheres of the camera's view, in steps of two
+        texels."""
         axes = upright_axes(plain(light.direction), 0.0)
         near, end = float(scene.camera.near), self._end(scene)
         shares = _SPLITS if self._count == 4 else (1.0,)
@@ -207,7 +208,8 @@ class GodotCompatibility(AbstractEngineShadows):
         return EngineCameras.of(cameras, False, scene.camera, ends)
 
     def _from_camera(self, frame: LightFrame, distance: float) -> float:
-        """How far receivers at a `distance` are from the light's camera; a directional light's is behind the scene."""
+        """The distance of receivers at `distance` from the light's camera. A directional light's camera is behind the
+        scene."""
         is_sun = frame.kind == "directional"
         return (frame.far + self.directional_shadow_pancake_size) / 2 if is_sun else distance
 
@@ -229,7 +231,7 @@ class GodotCompatibility(AbstractEngineShadows):
         radius = 2 * math.sqrt((taps[:, 0] ** 2).mean())
         shift = float(self.shadow_bias) * self._shift(frame, distance)
         offset = float(self.shadow_normal_bias) * self._offset(frame, distance) / frame.texel
-        # Under a directional light, 1 - cos θ is of the side that is turned away.
+        # Under a directional light, 1 - cos θ belongs to the side away from the light.
         profile = "constant" if frame.kind == "directional" else "one_minus_cosine"
         return PlainBias(shift, 0 if frame.kind == "point" else -1, offset, 1, profile, radius)
 
@@ -286,13 +288,13 @@ class GodotCompatibility(AbstractEngineShadows):
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
 
         Points beyond a directional light's shadows, or a positional light's range, are lit. Other points outside of the
-        map are compared with the map's border. Faces turned away from the light are compared like all other faces.
+        map are compared with the map's border. Faces away from the light are compared like all other faces.
         """
         return _visibility(self, state, surface)
 
 
 def camera_of(light: MatrixLight) -> CameraOfLight:
-    """The camera of a light that is given by its matrices."""
+    """The camera of a light given by its matrices."""
     given, matrices = light.view(), (light.world_to_eye, light.eye_to_clip)
     pose, projection = (np.asarray(each) for each in matrices)
     return _camera(pose, projection, float(given.near), float(given.far))
@@ -302,7 +304,7 @@ def _camera(
     view: HostArray, projection: HostArray, near: float, far: float, part: HostArray | None = None
 ) -> CameraOfLight:
     to_clip = in_single(reversed_depth(projection), view)
-    # Depth is from 0 to 1 already.
+    # Depth is already from 0 to 1.
     place = viewport(0.0, 0.0, 1.0) if part is None else np.array(part)
     place[2] = (0, 0, 1, 0)
     return CameraOfLight(view, projection, near, far, to_clip, in_single(place, to_clip))
@@ -330,7 +332,7 @@ def _visibility(settings: GodotCompatibility, state: EngineMap, surface: Surface
 
 
 def _moved(settings: GodotCompatibility, state: EngineMap, surface: Surface) -> Float[Array, "h w 3"]:
-    """Receivers with the normal offset, which each vertex of their triangles has by itself."""
+    """Receivers with the normal offset, which is computed separately at each vertex of their triangles."""
     light, size = state.light, settings.resolution[0]
     corners = state.corners
     assert corners is not None

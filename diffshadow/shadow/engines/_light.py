@@ -1,4 +1,4 @@
-"""Lights and their shadow cameras as engines have them."""
+"""Lights and their shadow cameras in engines."""
 
 import math
 from typing import Any, NamedTuple
@@ -9,23 +9,23 @@ from ..._types import HostArray, Resolution
 from ...geometry import AbstractLight, DirectionalLight, MatrixLight, PointLight, SpotLight
 from ._axes import engine_light
 
-# Where the near plane of a directional light's camera is put if it would begin behind the light.
+# The near plane of a directional light's camera, if it would otherwise be behind the light.
 _NEAR = 1.0
 NO_NUDGE = 1e-13
-"""Too little to move a light's target: the engine adds its own."""
+"""An offset too small to move a light's target, to which the engine adds its own."""
 _EPSILON = float(np.finfo(np.float32).eps)
-# Within these lengths, a direction leads from a light to its target as it is.
+# Within these lengths, the vector from a light to its target is the unchanged direction.
 _SHORTEST, _LONGEST = 0.01, 1e4
 _MAX_DIGITS = 9
 
 
 class EngineLight(NamedTuple):
-    """A light and its shadow camera, as three.js has them. Other engines' settings follow from these.
+    """A light and its shadow camera in three.js' form. Other engines' settings follow from these.
 
     - `type`: `"directional"`, `"spot"` or `"point"`.
     - `position`, `target`: world coordinates; a point light has no target.
-    - `near`, `far`: distances of the shadow camera's planes, world units.
-    - `window`: left, right, top and bottom of a directional light's camera, world units.
+    - `near`, `far`: distances of the shadow camera's planes, in world units.
+    - `window`: left, right, top and bottom of a directional light's camera, in world units.
     - `angle`: half angle of a spot light's cone, in radians from its axis; `aspect`: the aspect of `light.shadow`.
     """
 
@@ -50,9 +50,8 @@ class EngineLight(NamedTuple):
     def of(cls, light: AbstractLight, resolution: Resolution) -> "EngineLight":
         """The settings for `light` with a map of `resolution`, in the coordinates of `light`.
 
-        Numbers that the user gave to the light are not changed. Other numbers have the precision of float32.
-
-        **Raises** `ValueError` for a perspective camera that is off its axis, and what `engine_light` raises.
+        Numbers from the user are not changed. Other numbers have the precision of float32. **Raises** `ValueError` for
+        an off-centre perspective camera, and the errors of `engine_light`.
         """
         if isinstance(light, DirectionalLight):
             return _directional(light)
@@ -87,7 +86,7 @@ def _spot(light: SpotLight, resolution: Resolution) -> EngineLight:
 
 
 def _of_matrices(light: MatrixLight, resolution: Resolution) -> EngineLight:
-    """The settings that the rounded matrices of a light leave."""
+    """The settings that remain in the rounded matrices of a light."""
     view = light.view()
     pose, projection = (np.asarray(matrix, np.float64) for matrix in (light.world_to_eye, light.eye_to_clip))
     eye, forward = -pose[:3, :3].T @ pose[:3, 3], -pose[2, :3]
@@ -98,7 +97,7 @@ def _of_matrices(light: MatrixLight, resolution: Resolution) -> EngineLight:
             raise ValueError("the light's window is off its axis; expected a centred window, as a spot light has")
         height, width = resolution
         (aspect,) = plain([projection[1, 1] / projection[0, 0] * height / width], 4 * _EPSILON)
-        # The far plane is where depth is nearly 1, so that little is left of its digits.
+        # At the far plane, depth is nearly 1, so few of its digits remain.
         (near,), (far,) = plain([near], 4 * _EPSILON * near), plain([far], 4 * _EPSILON * far * far / near)
         angle = math.atan(1 / projection[1, 1])
         return EngineLight("spot", at, near, far, _target(eye, forward), None, angle, aspect)
@@ -113,7 +112,7 @@ def _of_matrices(light: MatrixLight, resolution: Resolution) -> EngineLight:
 
 
 def _back(near: float) -> float:
-    """How far a directional light moves back: engines place it in front of what its camera sees."""
+    """The distance by which a directional light moves back. Engines place it in front of its camera's view."""
     return _NEAR - near if near <= 0 else 0.0
 
 
@@ -122,7 +121,7 @@ def _window(sides: list[float]) -> dict[str, float]:
 
 
 def _target(position: HostArray, direction: HostArray) -> list[float]:
-    """Where a light at `position` looks."""
+    """The target of a light at `position`."""
     length = float(np.linalg.norm(direction))
     towards = direction if _SHORTEST <= length <= _LONGEST else direction / length
     return plain(position + towards, _EPSILON * float(np.abs([position, towards]).max()))

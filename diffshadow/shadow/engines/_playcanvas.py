@@ -58,51 +58,48 @@ from ._textures import bilinear_in_cube, place_in_cube, rounded, with_borders
 
 _WHOLE = viewport(0.0, 0.0, 1.0)
 _SIZES: dict[PlayCanvasShadow, TentSize] = {"PCF1_32F": 1, "PCF3_32F": 3, "PCF5_32F": 5}
-# Of a directional light's receivers, in window depth.
+# The bias of a directional light's receivers, in window depth.
 _HIDDEN_BIAS = 1e-4
-# Slopes of the polygon offset, and parts of the range, per unit of `shadow_bias`.
+# Slopes of the polygon offset, and fractions of the range, per unit of `shadow_bias`.
 _SLOPES, _PARTS = 10.0, 0.01
-# What a point light's map holds at most, and its near and a spot light's over its range.
+# The maximum of a point light's map, and the near plane of point and spot lights as a fraction of their range.
 _FARTHEST, _NEAR = 0.99999, 1e-3
-# A light that is weaker than this part casts no shadow.
+# A light that is weaker than this fraction casts no shadow.
 _FAINT = 1e-5
-# The least difference of the cosines of a cone's angles.
+# The minimum difference between the cosines of a cone's angles.
 _NO_RIM = 1e-7
-# Bound of the normal offset in a fit.
+# The bound of the normal offset in a fit.
 _MOST_TEXELS = 4.0
 _TETRAHEDRON = np.array([(1, 1, 1), (-1, -1, 1), (-1, 1, -1), (1, -1, -1)], np.float32)
-# Of the camera of a directional light: its near plane, and the room before the nearest caster.
+# The camera of a directional light: its near plane, and the space in front of the nearest caster.
 _FIRST, _ROOM = 0.01, 0.1
-# How far behind the scene it is put before its depth range is known, world units.
+# The camera's distance behind the scene before its depth range is known, in world units.
 _AWAY = 1e6
 
 
 class PlayCanvas(AbstractEngineShadows):
-    """The shadows of PlayCanvas 2.23, as it draws them on WebGL2 with `scene.clusteredLightingEnabled = false`.
-
-    Fields have the names of the engine's own, in `LightComponent`. A directional light has the engine's cameras, which
-    are fitted to the view of the scene's camera up to `shadow_distance`. Only the direction of the light matters.
+    """The shadows of PlayCanvas 2.23 on WebGL2 with `scene.clusteredLightingEnabled = false`. Fields have the engine's
+    names in `LightComponent`. A directional light has the engine's cameras, which are fitted to the view of the scene's
+    camera up to `shadow_distance`. Only the direction of the light matters.
 
     - `shadow_type`: the filter: one bilinear compare, or a tent over 3 or 5 texels. Under a point light, both tents are
         four compares.
     - `shadow_bias`: from 0 to 1. Under directional and spot lights, casters are drawn with a polygon offset whose
         factor is ten times this number. Under a point light, receivers move by this number times a hundredth of the
         light's range.
-    - `normal_offset_bias`: how far receivers move along their normals, in world units; under a point light, this is
-        multiplied by the distance to the light and by 1 - cos θ.
+    - `normal_offset_bias`: the shift of receivers along their normals, in world units. Under a point light, it is
+      multiplied by the distance to the light and by 1 - cos θ.
     - `shadow_intensity`: intensity of the shadow, from 0 to 1.
     - `shadow_distance`: depth up to which a directional light casts shadows, world units.
-    - `num_cascades`, `cascade_distribution`: the number of a directional light's cascades, which share the map, and how
-        logarithmic their spacing is. The engine's `cascadeBlend`, whose noise depends on the device, is 0.
+    - `num_cascades`, `cascade_distribution`: the number of a directional light's cascades, which share the map, and the
+      logarithmic share of their spacing. The engine's `cascadeBlend`, whose noise depends on the device, is 0.
     - `side`: the faces that the meshes' materials keep (`material.cull`), which therefore cast; one value for all
         meshes, or one for each.
     - `resolution`, `subpixels`, `compare`: see `AbstractEngineShadows`. Maps are square.
 
-    The polygon offset has a derivative through the slopes of the casters that the map was drawn with. A change of the
-    nearest caster by the bias shows only when the map is drawn again.
-
-    Under a directional light receivers also move towards it by 1e-4 of the depth range, which the engine fits to the
-    bounding boxes of the casters.
+    The polygon offset has a derivative through the slopes of the casters that the map was drawn with. If the bias
+    changes the nearest caster, this shows only after the map is drawn again. Under a directional light, receivers also
+    move towards the light by 1e-4 of the depth range. The engine fits this range to the bounding boxes of the casters.
 
     **Raises** `ValueError` for a map that is not square.
     """
@@ -142,7 +139,7 @@ class PlayCanvas(AbstractEngineShadows):
         return dataclasses.replace(self._state(drawn.depth, scene, light), slope=drawn.slope, drawn_with=factor)
 
     def from_map(self, stored: Any, scene: Scene) -> EngineMap:
-        """The state that `prepare` returns, with the map that the engine has drawn in place of our map.
+        """The result of `prepare`, with the engine's map instead of this package's.
 
         `stored` is the depth texture; for a point light, its first channel. Cascades are arranged in it as in the
         engine. For the arguments and errors see `AbstractEngineShadows.from_map`.
@@ -194,8 +191,8 @@ class PlayCanvas(AbstractEngineShadows):
         return min(float(scene.camera.far), self.shadow_distance)
 
     def _fitted(self, scene: Scene, light: DirectionalLight) -> EngineCameras:
-        """A directional light's cameras: squares about spheres around what the camera sees, in steps of two texels, as
-        deep as the boxes of the casters in them."""
+        """A directional light's cameras: squares around bounding spheres of the camera's view, in steps of two texels.
+        Their depth is that of the casters' boxes inside."""
         axes = _axes_of(light.direction)
         near, end = float(scene.camera.near), self._end(scene)
         ends = split_depths(near, end, self.num_cascades, self.cascade_distribution)
@@ -214,7 +211,7 @@ class PlayCanvas(AbstractEngineShadows):
         return EngineCameras.of(cameras, False, scene.camera, ends)
 
     def plain(self, frame: LightFrame, distance: float) -> PlainBias:
-        """The same without the polygon offset, which cannot be set in any other engine."""
+        """The bias without the polygon offset, which no other engine can set."""
         radius = castano_radius(_SIZES[self.shadow_type])
         offset = float(self.normal_offset_bias)
         if frame.kind == "point":
@@ -251,7 +248,7 @@ class PlayCanvas(AbstractEngineShadows):
         if given.target is not None:
             target = given.target if given.type == "spot" else given.direction
             way = ", ".join(map(number, target or ()))
-            # Added to where it stands, which does not matter.
+            # Added to its position, which does not matter.
             moved = f"entity.getPosition().clone().add(new pc.Vec3({way}))"
             towards = moved if given.type == "directional" else place(target or (), origin)
             lines += [f"entity.lookAt({towards});", "entity.rotateLocal(90, 0, 0);  // it shines along its -y"]
@@ -287,13 +284,13 @@ class PlayCanvas(AbstractEngineShadows):
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
 
         Points beyond the light's range, cone or `shadow_distance` are lit. Other points outside of the map are compared
-        with the map's border. Faces turned away from the light are compared like all other faces.
+        with the map's border. Faces away from the light are compared like all other faces.
         """
         return _visibility(self, state, surface)
 
 
 def camera_of(light: MatrixLight) -> CameraOfLight:
-    """The camera of a light that is given by its matrices."""
+    """The camera of a light given by its matrices."""
     given, matrices = light.view(), (light.world_to_eye, light.eye_to_clip)
     pose, projection = (np.asarray(each) for each in matrices)
     return _camera(pose, projection, float(given.near), float(given.far))
@@ -308,9 +305,9 @@ def _camera(
 
 
 def _axes_of(direction: Any) -> Float[HostArray, "3 3"]:
-    """To the right, up and back of the node of a light's camera; the camera's view keeps them once more.
+    """The right, up and back directions of the node of a light's camera. The camera's view stores them again.
 
-    `lookAt` and `rotateLocal(90, 0, 0)` have turned the light, which shines along its -y.
+    `lookAt` and `rotateLocal(90, 0, 0)` have rotated the light, which shines along its -y.
     """
     right, up, back = _as_kept(upright_axes(plain(direction), 0.0))
     right, back, down = _as_kept(np.stack([right, back, -up]))
@@ -318,7 +315,7 @@ def _axes_of(direction: Any) -> Float[HostArray, "3 3"]:
 
 
 def _as_kept(axes: Float[HostArray, "3 3"]) -> Float[HostArray, "3 3"]:
-    """Axes as the engine keeps them: in single precision, then as a quaternion, whose rounding decides last bits."""
+    """Axes with the engine's rounding: single precision, then a quaternion, whose rounding affects the last bits."""
     (a, b, c), (d, e, f), (g, h, i) = (row / np.linalg.norm(row) for row in axes.astype(np.float32).astype(np.float64))
     if i < 0:
         parts = (1 + a - e - i, b + d, g + c, f - h) if a > e else (b + d, 1 - a + e - i, f + h, g - c)
@@ -335,7 +332,7 @@ def _as_kept(axes: Float[HostArray, "3 3"]) -> Float[HostArray, "3 3"]:
 
 
 class _Box(NamedTuple):
-    """A box about a mesh along the world's axes: its least and greatest coordinates."""
+    """The bounding box of a mesh along the world's axes: its minimum and maximum coordinates."""
 
     low: Float[HostArray, "3"]
     high: Float[HostArray, "3"]
@@ -346,7 +343,7 @@ class _Box(NamedTuple):
         return cls(vertices.min(axis=0), vertices.max(axis=0))
 
     def meets(self, axes: Float[HostArray, "3 3"], centre: Float[HostArray, "3"], radius: float) -> bool:
-        """Whether it reaches into the square window about `centre`, which is in the light's `axes`."""
+        """Whether it overlaps the square window around `centre`, in the light's `axes`."""
         middle, half = (self.high + self.low) / 2 @ axes.T, (self.high - self.low) / 2 @ np.abs(axes).T
         return bool((np.abs(middle - centre)[:2] < half[:2] + radius).all())
 
@@ -354,9 +351,10 @@ class _Box(NamedTuple):
 def _behind(
     centre: Float[HostArray, "3"], axes: Float[HostArray, "3 3"], boxes: Sequence[_Box]
 ) -> tuple[HostArray, float]:
-    """Where the camera of a directional light is that sees one box about all `boxes`, and its far plane.
+    """The position of a directional light's camera that sees one box around all `boxes`, and its far plane.
 
-    The engine measures from far behind the scene, in single precision. That rounding is part of its depth range.
+    The engine measures from far behind the scene, in single precision. The resulting rounding is part of its depth
+    range.
     """
     eye = centre + _AWAY * axes[2]
     if not boxes:
@@ -398,7 +396,7 @@ def _in_window(settings: PlayCanvas, state: EngineMap, surface: Surface) -> Floa
 
 
 def _in_cone(light: EngineCameras, points: Float[Array, "h w 3"]) -> Array:
-    """Whether a spot light shines on `points` with more than a faint part of its strength."""
+    """Whether a spot light shines on `points` with more than a faint fraction of its strength."""
     view = light.view()
     distance = safe_norm(points - light.position)
     outer = 1 / jnp.sqrt(1 + 1 / view.eye_to_clip[1, 1] ** 2)

@@ -1,7 +1,7 @@
 """One radius of a filter in the settings of several engines.
 
-The taps of three.js r187 and Babylon.js 9.34 are checked against pictures that these engines drew. The settings of
-Godot 4, Bevy, Filament and Unity are read from their sources and documentation, and not verified against the engines.
+The taps of three.js r187 and Babylon.js 9.34 are checked against pictures from these engines. The settings of Godot 4,
+Bevy, Filament and Unity come from their sources and documentation. They are not verified against the engines.
 """
 
 from typing import NamedTuple
@@ -41,7 +41,7 @@ def radius_settings(light: AbstractLight, radius: float) -> list[EngineSetting]:
 
     - `radius`: radius of a disk of taps, in texels.
 
-    **Returns** a setting for each engine, whose value is None if the engine has no counterpart.
+    **Returns** a setting for each engine. Its value is `None` if the engine has no counterpart.
 
     **Raises** `ValueError` for a light that no engine has.
     """

@@ -16,7 +16,7 @@ from ._textures import bilinear
 Compared = Callable[[Array], Array]
 """The result of the compare with the receiver, for each stored value."""
 TentSize = Literal[1, 3, 5]
-"""How many texels wide a tent is; 1 for a single bilinear compare."""
+"""The width of a tent in texels; 1 for a single bilinear compare."""
 
 
 def same(x: Array) -> Array:
@@ -53,7 +53,7 @@ def tent(
 
 
 def _tent_taps(at: Float[Array, "h w"], size: TentSize) -> tuple[Float[Array, "k h w"], Float[Array, "k h w"]]:
-    """Weights and places, in texels, of the taps along one axis."""
+    """Weights and positions, in texels, of the taps along one axis."""
     whole = jnp.floor(lax.stop_gradient(at))
     s = at - whole
     weights: list[Any]

@@ -1,4 +1,4 @@
-"""Texture look-ups as graphics hardware does them: nearest and bilinear texels, clamped to the edge, and cube maps."""
+"""Texture look-ups as in graphics hardware: nearest and bilinear texels, clamped to the edge, and cube maps."""
 
 from collections.abc import Callable
 from functools import cache
@@ -19,10 +19,10 @@ Of = Callable[[Float[Array, "*n"]], Float[Array, "*n"]]
 def as_half(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
     """`x` rounded as in a texture of half floats, with the derivative of `x`.
 
-    For subnormal numbers, the software rasterizer keeps 13 more bits, and then rounds them. So a number just beyond the
-    middle of two neighbours is rounded to the even neighbour.
+    For subnormal numbers, the software rasterizer keeps 13 more bits, and then rounds them. A number just beyond the
+    middle of two neighbours is therefore rounded to the even neighbour.
     """
-    # XLA may leave out a conversion to half floats and back. Its `reduce_precision` knows no subnormal numbers.
+    # XLA may omit a conversion to half floats and back. Its `reduce_precision` does not handle subnormal numbers.
     subnormal = jnp.round(jnp.trunc(x * 2.0**37) * 2.0**-13) * 2.0**-24
     return with_gradient_of(x, jnp.where(jnp.abs(x) < 2.0**-14, subnormal, lax.reduce_precision(x, 5, 10)))
 
@@ -55,15 +55,15 @@ def _of_four(
 
 
 def mix(low: Array, high: Array, share: Array) -> Array:
-    """Interpolates between two values as the software rasterizer does: equal values give the same value to the bit."""
+    """Interpolates between two values like the software rasterizer. Equal values give the same value to the bit."""
     return low + rounded(share * (high - low))
 
 
 def place_in_cube(
     towards: Float[Array, "*n 3"],
 ) -> tuple[Int[Array, "*n"], Float[Array, "*n"], Float[Array, "*n"], Float[Array, "*n"]]:
-    """The face of a cube map that a direction meets, its position (s, t) there from 0 to 1, and the direction's length
-    along the face's axis."""
+    """The cube map face in a direction, the position (s, t) on it from 0 to 1, and the direction's length along the
+    face's axis."""
     axis = jnp.argmax(jnp.abs(lax.stop_gradient(towards)), axis=-1)
     major = jnp.take_along_axis(towards, axis[..., None], axis=-1)[..., 0]
     face = (2 * axis + (major < 0)).astype(jnp.int32)
@@ -73,7 +73,7 @@ def place_in_cube(
 
 
 def nearest_in_cube(cube: Float[Array, "6 n n"], towards: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
-    """The texel that a direction meets."""
+    """The texel in a direction."""
     face, s, t, _ = place_in_cube(towards)
     size = cube.shape[-1]
     whole = lambda at: jnp.clip(jnp.floor(at * size).astype(jnp.int32), 0, size - 1)
@@ -81,12 +81,12 @@ def nearest_in_cube(cube: Float[Array, "6 n n"], towards: Float[Array, "*n 3"]) 
 
 
 def with_borders(cube: Float[Array, "6 n n"]) -> Float[Array, "6 m m"]:
-    """Each face with the neighbouring faces' texels around it."""
+    """Each face with a border of its neighbours' texels."""
     return cube.reshape(-1)[_neighbours(cube.shape[-1])]
 
 
 def bilinear_in_cube(bordered: Float[Array, "6 m m"], towards: Float[Array, "*n 3"], of: Of) -> Float[Array, "*n"]:
-    """The bilinear mean of the function `of` at the four texels around a direction, across the edges of faces;
+    """The bilinear mean of the function `of` at the four texels around a direction, across the edges of faces.
     `bordered` is the result of `with_borders`."""
     face, s, t, _ = place_in_cube(towards)
     size = bordered.shape[-1] - 2
@@ -96,8 +96,8 @@ def bilinear_in_cube(bordered: Float[Array, "6 m m"], towards: Float[Array, "*n 
 
 @cache
 def _neighbours(size: int) -> HostArray:
-    """(6, n + 2, n + 2), for each texel of a face with borders, which of all texels it is."""
-    # A little past the edge, so that the place along the edge stays the same.
+    """(6, n + 2, n + 2), the index among all texels of each texel of a face with borders."""
+    # Slightly beyond the edge, so that the position along the edge does not change.
     at = np.clip(np.arange(-1, size + 1) + 0.5, -1e-4, size + 1e-4) * 2 / size - 1
     t, s = np.meshgrid(at, at, indexing="ij")
     right, up, forward = np.moveaxis(CUBE.astype(np.float64), 1, 0)[:, :, None, None]
@@ -107,5 +107,5 @@ def _neighbours(size: int) -> HostArray:
     along = np.abs(towards).max(axis=-1)
     place = lambda k: (CUBE[face, k] * towards).sum(axis=-1) / along / 2 + 0.5
     x, y = (np.clip(np.floor(place(k) * size), 0, size - 1).astype(np.int32) for k in (0, 1))
-    # int32 in double precision too, so that programs cached for one precision suit the other.
+    # int32 also in double precision, so that programs cached for one precision suit the other.
     return ((face * size + y) * size + x).astype(np.int32)

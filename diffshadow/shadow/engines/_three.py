@@ -37,31 +37,30 @@ _GOLDEN_ANGLE = 2.399963229728653
 
 
 class ThreeJs(AbstractEngineShadows):
-    """The shadows of three.js, release 187, as its `WebGLRenderer` draws them.
+    """The shadows of three.js, release 187, in its `WebGLRenderer`.
 
-    - `shadow_type`: `renderer.shadowMap.type`. `PCFSoftShadowMap` is drawn as `PCFShadowMap`, as the engine does.
+    - `shadow_type`: `renderer.shadowMap.type`. `PCFSoftShadowMap` is drawn as `PCFShadowMap`, as in the engine.
     - `bias`: added to the receiver's window depth after the divide; negative values lift it towards the light.
-    - `normal_bias`: how far receivers move along their interpolated normals, in world units.
+    - `normal_bias`: the shift of receivers along their interpolated normals, in world units.
     - `radius`: radius of the disk of taps (PCF) or of the box (VSM), in texels; under a point light, in half texels at
         a face's centre. Without effect for `BasicShadowMap`.
     - `intensity`: intensity of the shadow, from 0 to 1.
     - `blur_samples`: taps of the box along each axis (VSM).
     - `side`: `side` of the meshes' materials, `"front"`, `"back"` or `"double"`: one value for all, or one for each.
         Back sides negate `normal_bias`.
-    - `shadow_side`: `shadowSide` of the meshes' materials: the faces that cast. If left out, or `None` for one of the
-        meshes, `side` decides: with `"front"` back faces cast, with `"back"` front faces, and with `"double"` both.
-        With VSM, the faces that `side` names cast. So a closed mesh has no acne, and a single ground plane casts
-        nothing.
-    - `reversed_depth`: whether the renderer has `reversedDepthBuffer`: surfaces beyond far are in shadow then.
+    - `shadow_side`: `shadowSide` of the meshes' materials: the faces that cast. By default, or if `None` for one of the
+      meshes, `side` decides: with `"front"` back faces cast, with `"back"` front faces, and with `"double"` both. A
+      closed mesh then has no acne, and a single ground plane casts nothing. With VSM, the faces that `side` names cast.
+    - `reversed_depth`: whether the renderer has `reversedDepthBuffer`. Surfaces beyond far are then in shadow.
     - `resolution`, `subpixels`, `compare`: see `AbstractEngineShadows`.
 
     The radius has a derivative if taps are bilinear: in PCF, and in the second pass of VSM. The first pass of VSM reads
     single texels.
 
-    With a map of the engine (`from_map`), the blurred map of VSM equals the engine's to the bit, for Chromium without
-    graphics hardware. Depths of our own map differ from the engine's depths by up to 1.2e-6. Under VSM with a radius of
-    about 1 or less and no bias, all surfaces are compared with themselves, so the last bits of depth matter. 95.7 to
-    100 % of the pixels then equal the engine's.
+    With a map from the engine (`from_map`), the blurred map of VSM equals the engine's to the bit, for Chromium without
+    graphics hardware. Depths of this package's map differ from the engine's depths by up to 1.2e-6. Under VSM with a
+    radius of about 1 or less and no bias, all surfaces are compared with themselves, so the last bits of depth matter.
+    95.7 to 100 % of the pixels then equal the engine's.
 
     !!! Example
 
@@ -113,14 +112,13 @@ class ThreeJs(AbstractEngineShadows):
         receives = scene.receives or (True,) * len(side)
         casts = scene.casts or (True,) * len(side)
         if is_variance:
-            # The engine draws receivers, too.
+            # The engine also draws receivers.
             casts = tuple(map(max, casts, receives))
         return tuple(one if does else None for one, does in zip(casting, casts, strict=True))
 
     def from_map(self, stored: Any, scene: Scene) -> EngineMap:
-        """The state that `prepare` returns, with the depth texture that the engine has drawn in place of our map.
-
-        With VSM it is the texture before the blur. For the arguments and errors see `AbstractEngineShadows.from_map`.
+        """The result of `prepare`, with the engine's depth texture instead of this package's. With VSM, it is the
+        texture before the blur. For the arguments and errors see `AbstractEngineShadows.from_map`.
         """
         light = engine_light(scene.light, THREE_NUDGE)
         depth = self.checked_map(stored, light, is_depth=True)
@@ -157,8 +155,7 @@ class ThreeJs(AbstractEngineShadows):
     def visibility(self, state: EngineMap, surface: Surface) -> Visibility:
         """Visibility of the light at each pixel, (h, w): 1 lit, 0 shadowed.
 
-        Points outside of the light's frustum are lit. Faces turned away from the light are compared like all other
-        faces.
+        Points outside of the light's frustum are lit. Faces away from the light are compared like all other faces.
         """
         return _visibility(self, state, surface)
 
@@ -186,7 +183,7 @@ def _in_window(settings: ThreeJs, state: EngineMap, position: Float[Array, "h w 
     if settings.shadow_type == "BasicShadowMap":
         lit = compared(nearest(state.depth, u, v))
     elif settings.shadow_type == "VSMShadowMap":
-        # What is rounded to half floats is the depth as it is stored.
+        # The stored depth is rounded to half floats.
         as_stored = (lambda depth: 1 - depth) if settings.reversed_depth else (lambda depth: depth)
         moments = blurred(as_stored(state.depth), settings.radius, settings.blur_samples)
         mean, deviation = at_receivers(moments, u, v)
@@ -202,7 +199,7 @@ def _in_window(settings: ThreeJs, state: EngineMap, position: Float[Array, "h w 
 
 
 def _mean_over_disk(tap: Any, shape: tuple[int, ...]) -> Float[Array, "h w"]:
-    """The mean of `tap(x, y)` over Vogel's disk, turned at each pixel by noise."""
+    """The mean of `tap(x, y)` over Vogel's disk, rotated at each pixel by noise."""
     turn = 2 * jnp.pi * interleaved_gradient_noise(shape, 0.5)
 
     def add(total: Array, k: Array) -> tuple[Array, None]:

@@ -1,9 +1,9 @@
 """The variance shadow maps of three.js, to the bit as Chromium draws them without graphics hardware.
 
-The engine stores E[d] and the square root of E[d²] - E[d]². The difference cancels most digits of both, so what is
-rounded before it decides. The software rasterizer (SwiftShader) rounds every product and every sum by itself,
-multiplies by the reciprocal of the number of samples, and interpolates by `a + t (b - a)`, with weights in single
-precision. Graphics hardware may fuse a product with a sum, and has weights of eight bits.
+The engine stores E[d] and the square root of E[d²] - E[d]². The difference cancels most digits of both, so earlier
+rounding matters. The software rasterizer (SwiftShader) rounds every product and every sum separately, multiplies by the
+reciprocal of the number of samples, and interpolates by `a + t (b - a)`, with weights in single precision. Graphics
+hardware may fuse a product with a sum, and has weights of eight bits.
 """
 
 from typing import NamedTuple
@@ -65,17 +65,17 @@ def at_receivers(
 
 
 def chebyshev(mean: Array, deviation: Array, z: Array) -> Array:
-    """The upper bound on visibility (Donnelly & Lauritzen 2006), cut off below against light bleeding."""
+    """The upper bound on visibility (Donnelly & Lauritzen 2006), cut off at its lower end to reduce light bleeding."""
     variance = jnp.maximum(deviation * deviation, _MIN_VARIANCE)
     bound = variance / (variance + (z - mean) ** 2)
     return jnp.clip((bound - _BLEEDING) / (_FULL - _BLEEDING), 0, 1)
 
 
-# --- Places in textures ---
+# --- Positions in textures ---
 
 
 class _Between(NamedTuple):
-    """Between which two texels a place lies, and the second one's share."""
+    """The two texels around a position, and the second one's share."""
 
     low: Int[Array, "*n"]
     high: Int[Array, "*n"]
@@ -83,7 +83,7 @@ class _Between(NamedTuple):
 
 
 def _offsets(samples: int) -> HostArray:
-    """Places of the samples, from -1 to 1, as the shader adds them up."""
+    """Positions of the samples, from -1 to 1, with the additions of the shader."""
     if samples == 1:
         return np.zeros(1, np.float32)
     return np.float32(-1) + np.arange(samples, dtype=np.float32) * (np.float32(2) / np.float32(samples - 1))
@@ -92,12 +92,12 @@ def _offsets(samples: int) -> HostArray:
 def _centres(size: int, offset: Array | float) -> Float[Array, " n"]:
     """The centres of `size` texels, moved by `offset` texels, from 0 to 1 over the texture."""
     moved = jnp.arange(size) + 0.5 + rounded(as_float(offset))
-    # A division by a scalar would become a product with its reciprocal.
+    # A division by a scalar would become a multiplication by its reciprocal.
     return moved / jnp.where(moved == moved, size, moved)
 
 
 def _in_texels(place: Float[Array, "*n"], size: int) -> Float[Array, "*n"]:
-    """A place from 0 to 1 in texels, clamped to less than `size`."""
+    """A position from 0 to 1, converted to texels and clamped to less than `size`."""
     return rounded(jnp.clip(place, 0, 1 - jnp.finfo(place.dtype).eps / 2) * size)
 
 
@@ -110,12 +110,12 @@ def _between(place: Float[Array, "*n"], size: int) -> _Between:
 
 
 def _mixed(part: Float[Array, "h w"], columns: _Between) -> Float[Array, "h w"]:
-    """Each row between the two columns."""
+    """Each row, interpolated between the two columns."""
     return mix(part[:, columns.low], part[:, columns.high], columns.share)
 
 
 def _in_own_row(part: Float[Array, "h w"]) -> Float[Array, "h w"]:
-    """Each row as it is read at its own centre, which rounding moves unless their number is a power of two."""
+    """Each row, read at its own centre. Rounding moves the centre unless the number of rows is a power of two."""
     size = part.shape[0]
     if size & (size - 1) == 0:
         return part

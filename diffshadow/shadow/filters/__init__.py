@@ -1,3 +1,3 @@
-"""Filters: ways to turn a shadow map into visibility, one technique per file. `shadow` exports them."""
+"""Filters, which turn a shadow map into visibility. Each technique has its own file. `shadow` exports them."""
 
 from ._abstract import AbstractFilter as AbstractFilter

@@ -15,7 +15,7 @@ from .._shader import ShaderPart
 
 
 class AbstractFilter(CheckedModule):
-    """Turns a shadow map and a look-up into visibility: where the map is tapped, and how the taps are weighted.
+    """Turns a shadow map and a look-up into visibility. A filter defines the positions and the weights of its taps.
 
     !!! Example
 
@@ -48,7 +48,8 @@ class AbstractFilter(CheckedModule):
 
     @property
     def reach(self) -> float | None:
-        """How far from the receiver's texel coordinates the filter reads the map, in texels; none if that is not known,
-        as under a trace or for a filter without settings. Maps with a margin need a margin of this width."""
+        """The distance from the receiver's texel coordinates to the farthest texel that the filter reads, in texels.
+        `None` if unknown, for example inside `jit` or for a filter without settings. Maps with a margin need a margin
+        of this width."""
         reach = concrete(self.settings.reach_of(self)) if issubclass(self.settings, Filter) else None
         return None if reach is None else float(np.max(reach))

@@ -17,15 +17,15 @@ from ._abstract import AbstractFilter
 from ._separable import shader_of_weights
 
 CASTANO_KERNELS: dict[int, tuple[int, ...]] = {3: (1, 2, 1), 5: (1, 3, 4, 3, 1), 7: (1, 5, 12, 16, 12, 5, 1)}
-"""Weights along each axis, by size, of the bilinear compares one texel apart that the taps are equivalent to."""
+"""Weights along each axis, by size, of the equivalent bilinear compares one texel apart."""
 
 
 class Castano(AbstractFilter):
     """A bell-shaped kernel of fixed width: `size` by `size` bilinear compares one texel apart, weighted by
     `CASTANO_KERNELS` along both axes.
 
-    On a GPU, 4, 9 or 16 bilinear look-ups placed between texels give the same result. It has nothing to fit;
-    `Separable` has weights, and `Tent` a radius.
+    On a GPU, 4, 9 or 16 bilinear look-ups between texels give the same result. It has no numbers to fit. `Separable`
+    has weights, and `Tent` a radius.
 
     - `size`: 3, 5 or 7.
     """
@@ -36,7 +36,7 @@ class Castano(AbstractFilter):
 
     @property
     def normalized(self) -> tuple[Scalar, ...]:
-        """As of `Separable`."""
+        """The shader, which is that of `Separable`."""
         weights = CASTANO_KERNELS[self.size]
         return tuple(as_float(weight / sum(weights)) for weight in weights[self.size // 2 :])
 

@@ -16,8 +16,8 @@ from ._prefilter import AbstractPrefiltered
 class ExponentialShadowMap(AbstractPrefiltered):
     """Visibility is min(1, exp(k (z_m - z_r))): the factor exp(k z_m) is stored in the map and blurred.
 
-    It is correct where no depth around a receiver is greater than the receiver's, as on a planar receiver. Elsewhere a
-    few deeper texels under the blur are enough to light it.
+    It is correct if no depth around a receiver is greater than the receiver's, for example on a planar receiver.
+    Otherwise, a few deeper texels under the blur are enough to light it.
 
     - `radius`: radius of the blur, in texels.
     - `max_radius`: upper bound on `radius`, in texels. Defaults to `radius`, or to 8 if `radius` is traced; rounded up
@@ -25,7 +25,7 @@ class ExponentialShadowMap(AbstractPrefiltered):
     - `kernel`: kernel of the blur; all shapes end at the radius.
     - `exponent`: k, for linear depth from 0 at the light's near plane to 1 at its far plane. Light leaks to about 1 / k
         behind an occluder.
-    - `light_bleeding`: visibility up to this becomes 0 and the rest is stretched.
+    - `light_bleeding`: visibility up to this value becomes 0, and the rest is stretched.
     """
 
     settings: ClassVar = Settings

@@ -12,7 +12,8 @@ from ...settings.filters import ExponentialVarianceShadowMap as Settings
 from .._shader import Constant, ShaderPart, number
 from ._prefilter import AbstractPrefiltered, chebyshev
 
-# Clamp on the log of moments relative to the receiver's: larger ones leave no bound, and their squares would overflow.
+# Clamp on the log of moments relative to the receiver's. Larger moments leave no bound, and their squares would
+# overflow.
 _MAX_LOG_MOMENT = 30.0
 
 
@@ -20,8 +21,8 @@ class ExponentialVarianceShadowMap(AbstractPrefiltered):
     """Variance shadow maps of two warps of depth, e^(c₊ w) and -e^(-c₋ w) with w = 2z - 1; visibility is the smaller of
     the two bounds.
 
-    The positive warp reduces light bleeding behind overlapping occluders, the negative one on receivers with deeper
-    surfaces around them.
+    The positive warp reduces light bleeding behind overlapping occluders. The negative warp reduces it on receivers
+    with deeper surfaces around them.
 
     - `radius`: radius of the blur, in texels.
     - `max_radius`: upper bound on `radius`, in texels. Defaults to `radius`, or to 8 if `radius` is traced; rounded up
@@ -31,7 +32,7 @@ class ExponentialVarianceShadowMap(AbstractPrefiltered):
         its far plane.
     - `least_variance`: lower bound on the variance of linear depth, which the warps scale by their slope at the
         receiver.
-    - `light_bleeding`: visibility up to this becomes 0 and the rest is stretched.
+    - `light_bleeding`: visibility up to this value becomes 0, and the rest is stretched.
     """
 
     settings: ClassVar = Settings
@@ -61,7 +62,7 @@ class ExponentialVarianceShadowMap(AbstractPrefiltered):
             jnp.minimum(jnp.log(moment) - power * exponent * receiver, _MAX_LOG_MOMENT)
         )
         mean, square = relative(mean, 1), relative(square, 2)
-        # The derivative of e^(c w) by z, with w = 2z - 1, is 2c e^(c w).
+        # The derivative of e^(c w) with respect to z, where w = 2z - 1, is 2c e^(c w).
         least = 4 * exponent * exponent * self.least_variance
         variance = jnp.maximum(square - mean * mean, least)
         sign = jnp.sign(exponent)

@@ -21,19 +21,20 @@ _ALMOST_LINEAR = 1e-6
 
 
 class MomentShadowMap(AbstractPrefiltered):
-    """The map holds the first four powers of depth, blurred. Visibility is the largest that any distribution of depths
-    with these moments allows (Hamburger moment problem).
+    """The map stores the first four powers of depth, blurred. Visibility is the maximum over all distributions of
+    depths with these moments (Hamburger moment problem).
 
-    The bound is exact for two depths and the receiver's own, so light bleeds only with three occluders or more.
+    The bound is exact for two depths in addition to the receiver's own, so light bleeds only with three occluders or
+    more.
 
     - `radius`: radius of the blur, in texels.
     - `max_radius`: upper bound on `radius`, in texels. Defaults to `radius`, or to 8 if `radius` is traced; rounded up
         to a half texel.
     - `kernel`: kernel of the blur; all shapes end at the radius.
     - `moment_bias`: weight with which moments are blended towards a broad distribution's moments, against rounding. A
-        larger one bleeds more light.
-    - `light_bleeding`: visibility up to this becomes 0 and the rest is stretched. The authors advise 0.02, which
-        compensates the moment bias.
+      larger weight bleeds more light.
+    - `light_bleeding`: visibility up to this value becomes 0, and the rest is stretched. The authors recommend 0.02,
+      which compensates the moment bias.
     """
 
     settings: ClassVar = Settings
@@ -60,10 +61,10 @@ class MomentShadowMap(AbstractPrefiltered):
 
 
 def _least_shadow(b: tuple[DepthMap, ...], z: DepthMap) -> Visibility:
-    """The least mass below `z` of any distribution with the moments `b` (algorithm 3 of the paper).
+    """The minimum mass below `z` of all distributions with the moments `b` (algorithm 3 of the paper).
 
-    The minimum is attained by the distribution with masses at z and two more depths: the roots of c₁ + c₂ x + c₃ x²,
-    where B c = (1, z, z²) and B is the Hankel matrix of the moments.
+    The distribution with masses at z and two more depths attains the minimum. These depths are the roots of c₁ + c₂ x +
+    c₃ x², where B c = (1, z, z²) and B is the Hankel matrix of the moments.
     """
     c1, c2, c3, largest = _solve_hankel(b, z)
     low, high = _roots(c1, c2, c3)
@@ -89,11 +90,11 @@ def _solve_hankel(b: tuple[DepthMap, ...], z: DepthMap) -> tuple[DepthMap, ...]:
 
 
 def _roots(c1: DepthMap, c2: DepthMap, c3: DepthMap) -> tuple[DepthMap, DepthMap]:
-    """Both roots of c₁ + c₂ x + c₃ x², which are real, the smaller first."""
-    # A root at infinity has no mass, on whichever side it lies.
+    """Both roots of c₁ + c₂ x + c₃ x², which are real. The smaller root comes first."""
+    # A root at infinity has no mass on either side.
     c3 = jnp.where(jnp.abs(c3) < _ALMOST_LINEAR, _ALMOST_LINEAR, c3)
     root = safe_sqrt(c2 * c2 - 4 * c1 * c3)
-    # Adding terms of the same sign avoids cancellation; the other root follows from the product c₁ / c₃.
+    # Adding terms of the same sign avoids cancellation. The other root follows from the product c₁ / c₃.
     q = -(c2 + jnp.where(c2 < 0, -root, root)) / 2
     one, other = q / c3, safe_divide(c1, q)
     # Keeps the roots distinct despite rounding.

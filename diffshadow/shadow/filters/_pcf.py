@@ -16,7 +16,7 @@ from ._sized import AbstractSizedFilter
 class PercentageCloser(AbstractSizedFilter):
     """The fraction of a box in the map that does not shadow the receiver.
 
-    The box moves and grows smoothly: each texel is weighted by the area of it that the box covers. A radius of 0.5 is
+    The box moves and grows smoothly: the weight of each texel is its area inside the box. A radius of 0.5 is
     the bilinear compare; 2.5 covers 5 x 5 texels.
 
     - `radius`: half the box's width, in texels.
@@ -55,24 +55,25 @@ class _Row(AbstractSizedRow):
 
 
 def _lower_edge(position: Float[Array, "*n"], radius: Float[Array, "..."]) -> tuple[Array, Array]:
-    """The texel that contains the lower edge of a box around `position`, and where in that texel the edge lies."""
+    """The texel that contains the lower edge of a box around `position`, and the position of the edge in that texel."""
     own = jnp.floor(position)
-    # Measured from the position's own texel, so that weights add up to 1 at any distance from the origin.
+    # Relative to the position's own texel, so that weights add up to 1 at any distance from the origin.
     edge = position - own - radius
     first = jnp.floor(edge)
     return own + first, edge - first
 
 
 def _width(edge: Float[Array, "*n"], radius: Float[Array, "..."]) -> Float[Array, "*n"]:
-    """The width of a box as rounded, which is the sum of the parts it covers of all texels.
+    """The rounded width of a box, which is the sum of the parts of all texels that it covers.
 
-    A narrow box is a small difference of larger numbers: its parts do not add up to exactly `2 · radius`.
+    The width of a narrow box is a small difference of larger numbers, so its parts do not add up to exactly `2 ·
+    radius`.
     """
     return (edge + 2 * radius) - edge
 
 
 def _covered(edge: Float[Array, "*n"], radius: Float[Array, "..."], number: Array | int) -> Span:
-    """The part that a box covers of texel `number`, counted from the texel with its lower `edge`."""
+    """The part of texel `number` that a box covers. Texels are counted from the one with its lower `edge`."""
     upper = edge + 2 * radius - number
     # Cheaper than a clip, which halves derivatives at its bounds.
     low, high = jnp.where(number == 0, edge, 0), jnp.where(upper < 0, 0, jnp.where(upper < 1, upper, 1))

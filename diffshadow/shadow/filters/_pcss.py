@@ -19,34 +19,31 @@ from ..patterns import Pattern, stratified
 from ._abstract import AbstractFilter
 from ._random_disk import constants_of_pattern
 
-# Up to this fraction of blockers counts as no blocker; it is above rounding error.
+# Up to this fraction, blockers count as none. It exceeds rounding errors.
 _FEW = 1e-5
 
 
 class PercentageCloserSoft(AbstractFilter):
     """The mean of bilinear taps over a disk as wide as the receiver's penumbra.
 
-    The disk is round in the world: where texels are not square, it is an ellipse in the map.
+    The disk is round in the world. If texels are not square, it is an ellipse in the map. The blocker search taps the
+    part of the map that can hide the light. Its radius is the light's radius, projected through the receiver onto the
+    near plane: `light_size · (z_r - near) / near`. The mean depth z_b of the blockers gives the half width of the
+    penumbra, `light_size · (z_r - z_b) / z_b`, which is the radius of the filter taps. For a directional light of
+    angular radius a, they are `(z_r - near) tan a` and `(z_r - z_b) tan a`. Depths are distances from the light here.
+    Receivers without blockers are lit.
 
-    The blocker search taps the part of the map that can hide the light. Its radius is the light's radius, projected
-    through the receiver onto the near plane: `light_size · (z_r - near) / near`. The mean depth z_b of the blockers
-    gives the half width of the penumbra, `light_size · (z_r - z_b) / z_b`, which is the radius of the filter taps. For
-    a directional light of angular radius a, they are `(z_r - near) tan a` and `(z_r - z_b) tan a`. Depths are distances
-    from the light here. Receivers without blockers are lit.
-
-    The search is wide, and mistakes a slanted receiver for its own blocker unless the bias follows the receiver's
-    plane: use a `ReceiverPlane`, best with `deepening=0`.
-
-    A soft compare weights each blocker by how much light it blocks, and makes visibility differentiable with respect to
-    bias. The mean is over window depths. A perspective light's penumbra is linear in window depth, so the result is the
-    mean of the blockers' penumbrae.
+    The search is wide. It mistakes a slanted receiver for its own blocker unless the bias follows the receiver's plane.
+    Use a `ReceiverPlane`, best with `deepening=0`. A soft compare weights each blocker by the light that it blocks, and
+    makes visibility differentiable with respect to bias. The mean is over window depths. A perspective light's penumbra
+    is linear in window depth, so the result is the mean of the blockers' penumbrae.
 
     - `light_size`: overrides the light's own size, so that it can be fitted: half the angle in degrees for a
         directional light, otherwise the radius of its disk or sphere in world units. Defaults to the light's size; a
         rectangle counts as the disk of equal area.
-    - `search`: pattern of the blocker search; stratified points if left out. If all its taps miss a blocker, the shadow
-        has a hole.
-    - `pattern`: pattern of the filter taps; stratified points if left out.
+    - `search`: pattern of the blocker search; by default stratified points. If all its taps miss a blocker, the shadow
+      has a hole.
+    - `pattern`: pattern of the filter taps; by default stratified points.
     - `min_radius`, `max_radius`: bounds on the penumbra's half width, in texels; `max_radius` bounds the search too.
 
     **Raises** `ValueError` if `min_radius` is above `max_radius`, and when called without `light_size` for a light that
@@ -137,11 +134,11 @@ class _BlockingDepth(AbstractCompare):
 class _Penumbra(eqx.Module):
     """The width of penumbrae at the receivers, in texels along the map's x and y.
 
-    - `view`: it converts window depth to distance.
+    - `view`: the view, which converts window depth to distance.
     - `resolution`: resolution of the map.
-    - `texel`: (h, w, 2), where receivers fall in the map.
-    - `distance`: (h, w), distance of receivers along the light's axis, world units.
-    - `light_size`: half the light's width in world units; of a directional light, at distance 1.
+    - `texel`: (h, w, 2), positions of receivers in the map.
+    - `distance`: (h, w), distance of receivers along the light's axis, in world units.
+    - `light_size`: half the light's width in world units; for a directional light, at distance 1.
     """
 
     view: View
@@ -159,7 +156,7 @@ class _Penumbra(eqx.Module):
 
     @property
     def reach(self) -> tuple[DepthMap, DepthMap]:
-        """Radius of the blocker search: nothing beyond it can hide the light from the receiver."""
+        """Radius of the blocker search. Nothing beyond it can hide the light from the receiver."""
         return self._between(self.view.near)
 
     def half_width(self, blocker: DepthMap) -> tuple[DepthMap, DepthMap]:
@@ -179,9 +176,9 @@ def half_width_of(light: AbstractLight, size: Scalar | None) -> Scalar:
 
     **Arguments:**
 
-    - `size`: overrides the light's own size: degrees for a directional light, otherwise world units. If it is left out,
-        a directional light must have an `angular_radius`, and any other light a `radius` or a `size` (2,), whose
-        rectangle counts as the disk of equal area.
+    - `size`: overrides the light's own size: degrees for a directional light, otherwise world units. Without it, a
+      directional light must have an `angular_radius`, and any other light a `radius` or a `size` (2,). Its rectangle
+      then counts as the disk of equal area.
 
     **Raises** `ValueError` if `size` is left out and the light has none of these.
     """

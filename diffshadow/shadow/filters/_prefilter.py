@@ -1,7 +1,7 @@
 """Pre-filtering: blurs the shadow map once, instead of filtering compares for each receiver.
 
-Depths cannot be blurred before the compare; the moments that a pre-filtered map stores can. Everything beyond the
-border counts as depth 1, which is lit, and shadows near the border are blurred across it.
+Depths cannot be blurred before the compare. Moments, which a pre-filtered map stores, can. Everything beyond the border
+counts as depth 1, which is lit. Shadows near the border are blurred across it.
 """
 
 import abc
@@ -26,14 +26,15 @@ from ._abstract import AbstractFilter
 def linear_depth(shadow_map: ShadowMap, depth: Float[Array, "*n"]) -> Float[Array, "*n"]:
     """Window `depth` as distance along the light's axis, from 0 at the near plane to 1 at the far plane, clamped."""
     view = shadow_map.view
-    # Depths out of range can lie behind the eye. Rounding may keep the empty far plane from being exactly 1.
+    # Depths out of range can be behind the eye. Rounding may keep the empty far plane from being exactly 1.
     inside = (depth >= 0) & (depth < 1)
     fraction = (view.eye_depth(jnp.where(inside, depth, 0.5)) - view.near) / (view.far - view.near)
     return jnp.where(inside, jnp.clip(fraction, 0, 1), jnp.where(depth < 0, 0.0, 1.0))
 
 
 def chebyshev(mean: DepthMap, variance: DepthMap, receiver: DepthMap) -> Visibility:
-    """Chebyshev's one-tailed bound: how much of a distribution with this mean and variance is at `receiver` or beyond.
+    """Chebyshev's one-tailed bound on the fraction of a distribution with this mean and variance that is at `receiver`
+    or beyond.
 
     `variance` must be positive.
     """
@@ -45,16 +46,15 @@ def chebyshev(mean: DepthMap, variance: DepthMap, receiver: DepthMap) -> Visibil
 def reduce_light_bleeding(visibility: Visibility, amount: Scalar) -> Visibility:
     """Visibility up to `amount` becomes 0, and the rest is stretched (Lauritzen, GPU Gems 3, ch. 8).
 
-    A loose bound leaves light in shadows; this removes it, and narrows penumbrae.
+    A loose bound leaves light in shadows. This removes the light, and narrows penumbrae.
     """
     return jnp.clip((visibility - amount) / (1 - amount), 0, 1)
 
 
 class AbstractPrefiltered(AbstractFilter):
-    """A filter that blurs moments of the map's depth, and computes from them a bound on each receiver's visibility.
-
-    Depths are linear here, from 0 at the light's near plane to 1 at its far plane. Blurred maps are fetched
-    bilinearly. `compare` is ignored: the bound is already smooth. A bias moves the receiver, but a receiver plane depth
+    """A filter that blurs moments of the map's depth. A bound on each receiver's visibility follows from the moments.
+    Depths are linear here, from 0 at the light's near plane to 1 at its far plane. Blurred maps are fetched bilinearly.
+    `compare` is ignored, because the bound is already smooth. A bias moves the receiver, but a receiver plane depth
     bias has no effect.
 
     - `radius`, `max_radius`, `kernel`: as in `Blur`. `max_radius` defaults to `radius`, or to 8 if `radius` is traced,
@@ -88,7 +88,7 @@ class AbstractPrefiltered(AbstractFilter):
 
     def shader_of(self, *constants: Constant, files: tuple[str, ...]) -> ShaderPart:
         """The shader's part with these constants. Its functions `shadow_moments` and `shadow_bound` are in `files` of
-        `shadow`. It reads the texture `moments`, which its functions `shadow_blur_rows` and `shadow_blur_columns`
+        `shadow`. It reads the texture `moments`, which the functions `shadow_blur_rows` and `shadow_blur_columns`
         draw."""
         blur = self._blur
         each = (

@@ -22,9 +22,9 @@ class RandomDisk(AbstractFilter):
     """The mean of taps at the points of a pattern, scaled to a disk.
 
     - `radius`: radius of the disk, in texels.
-    - `pattern`: where the taps lie; stratified points if left out.
+    - `pattern`: the positions of the taps; by default stratified points.
     - `lookup`: `"bilinear"` or `"nearest"` taps. With nearest taps, `radius` has no gradient.
-    - `early_out`: whether to take the first 8 samples, which lie far out, and skip the others where these agree.
+    - `early_out`: whether to skip the other samples if the first 8 agree. The first samples are near the rim.
 
     !!! Example
 
@@ -67,7 +67,7 @@ class RandomDisk(AbstractFilter):
 
 
 def constants_of_pattern(pattern: Pattern, prefix: str) -> tuple[Constant, ...]:
-    """A pattern as constants of a shader, whose names begin with `prefix`."""
+    """A pattern as constants of a shader. Their names begin with `prefix`."""
     samples, size = pattern.offsets.shape[:2]
     return (
         Constant(f"{prefix}SAMPLES", samples, "points of the pattern for each pixel"),

@@ -1,4 +1,4 @@
-"""A separable kernel whose weights are free."""
+"""A separable kernel with free weights."""
 
 from collections.abc import Sequence
 from typing import ClassVar
@@ -23,8 +23,8 @@ class Separable(AbstractFilter):
     With n weights there are (2n + 1)² compares. All kernels of `Castano` have this form; size 5 has the weights 3/4 and
     1/4.
 
-    - `weights`: weights of the compares 1, 2, ... texels from the middle, relative to the weight in the middle; each 0
-        or more.
+    - `weights`: weights of the compares 1, 2, ... texels from the centre, relative to the weight at the centre; each 0
+      or more.
     """
 
     settings: ClassVar = Settings

@@ -12,8 +12,8 @@ from ._sized import AbstractSizedFilter
 class Tent(AbstractSizedFilter):
     """The mean of compares with all texels around the receiver, weighted by a tent.
 
-    The tent moves and grows smoothly: each texel is weighted by the integral of the tent over it. Visibility then has a
-    continuous derivative along the map, while a box's derivative has kinks.
+    The tent moves and grows smoothly: the weight of each texel is the integral of the tent over it. Visibility then has
+    a continuous derivative along the map. The derivative under a box has jumps.
 
     - `radius`: the distance from the tent's peak to its edge, in texels.
     - `max_radius`: upper bound on `radius`, in texels; the number of taps grows with its square. Defaults to `radius`,

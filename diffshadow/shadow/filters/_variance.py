@@ -14,10 +14,8 @@ from ._prefilter import AbstractPrefiltered, chebyshev
 
 
 class VarianceShadowMap(AbstractPrefiltered):
-    """The map holds depth and its square, blurred; Chebyshev's inequality bounds visibility from above.
-
-    The bound is exact for one planar occluder over a planar receiver. Where occluders overlap, light bleeds into their
-    shadows.
+    """The map stores depth and its square, blurred. Chebyshev's inequality bounds visibility from above. The bound is
+    exact for one planar occluder over a planar receiver. If occluders overlap, light bleeds into their shadows.
 
     - `radius`: radius of the blur, in texels.
     - `max_radius`: upper bound on `radius`, in texels. Defaults to `radius`, or to 8 if `radius` is traced; rounded up
@@ -25,7 +23,7 @@ class VarianceShadowMap(AbstractPrefiltered):
     - `kernel`: kernel of the blur; all shapes end at the radius.
     - `least_variance`: lower bound on the variance of linear depth, which runs from 0 at the light's near plane to 1 at
         its far plane. It hides rounding errors and acne, and blurs contact shadows.
-    - `light_bleeding`: visibility up to this becomes 0 and the rest is stretched.
+    - `light_bleeding`: visibility up to this value becomes 0, and the rest is stretched.
     """
 
     settings: ClassVar = Settings

@@ -24,8 +24,8 @@ _MARGIN = 16
 class Atlas(eqx.Module):
     """Maps of one size, one after another, padded for look-ups.
 
-    Otherwise a program that reads many maps in turn, or one map often, would copy and pad a whole map for each read of
-    a few texels.
+    Without an atlas, a program that reads many maps in turn, or one map often, would copy and pad a whole map for each
+    read of a few texels.
 
     - `texels`: (n,), the depths of all maps and their layers.
     - `shape`: the shape of each map's depths, (h, w) or (l, h, w).
@@ -37,7 +37,7 @@ class Atlas(eqx.Module):
     @classmethod
     def of(cls, maps: Sequence[ShadowMap]) -> "Atlas":
         """The atlas of maps without silhouettes whose depths have the same shape."""
-        # One after another, so that there is never a second copy of all.
+        # One after another, so that there is never a second copy of all maps.
         atlas = cls.of_none(len(maps), maps[0])
         for number, each in enumerate(maps):
             atlas = atlas.holding(each, number)
@@ -45,16 +45,16 @@ class Atlas(eqx.Module):
 
     @classmethod
     def of_none(cls, count: int, like: ShadowMap) -> "Atlas":
-        """An atlas with room for `count` maps of the size of `like`."""
+        """An atlas with memory for `count` maps of the size of `like`."""
         return cls(as_array(np.zeros(cls.size(count, like.depth.shape), like.depth.dtype)), like.depth.shape)
 
     def holding(self, shadow_map: ShadowMap, number: int) -> "Atlas":
-        """The atlas with this map at the place `number`. The atlas itself can no longer be read."""
+        """The atlas with this map at the position `number`. The old atlas can no longer be read."""
         return Atlas(_with(self.texels, shadow_map, as_int(number)), self.shape)
 
     @staticmethod
     def size(maps: int, shape: tuple[int, ...]) -> int:
-        """The number of texels of so many maps of this shape."""
+        """The number of texels of this many maps of this shape."""
         return maps * math.prod(shape[:-2]) * (shape[-2] + 2 * _MARGIN) * (shape[-1] + 2 * _MARGIN)
 
     def reading(self, shadow_map: ShadowMap, number: Int[Array, ""]) -> ShadowMap:
@@ -66,7 +66,7 @@ class Atlas(eqx.Module):
         )
 
     def depths(self, number: Int[Array, ""]) -> Float[Array, "*l h w"]:
-        """The depths of the map with this number, which were given."""
+        """The original depths of the map with this number."""
         *layers, height, width = self.shape
         stride = width + 2 * _MARGIN
         rows = self.size(1, self.shape) // stride
@@ -79,9 +79,9 @@ class Atlas(eqx.Module):
 
 
 class StoredMap(eqx.Module):
-    """A shadow map whose depths are in an atlas alone, so that many maps need memory once.
+    """A shadow map whose depths are only in an atlas, so that many maps need memory once.
 
-    - `atlas`: with the map at the place `number`.
+    - `atlas`: the atlas with the map at the position `number`.
     - `rest`: the map without depths.
     """
 

@@ -32,7 +32,7 @@ class Blocks(eqx.Module):
         return (0, -height % self.rows), (0, -width % self.columns)
 
     def cut(self, image: Array) -> Array:
-        # Pixels that fill up the last blocks are copies of actual ones, so that evaluating them is harmless.
+        # Pixels that pad the last blocks are copies of actual ones, so evaluating them is harmless.
         padded = jnp.pad(image, self._padding, mode="edge") if any(after for _, after in self._padding) else image
         height, width = padded.shape
         return padded.reshape(height // self.rows, self.rows, width // self.columns, self.columns)

@@ -1,6 +1,6 @@
 """Separable blurs of maps, and look-ups in blurred maps.
 
-Each texel is weighted by the integral of the kernel over it, so a blur grows smoothly with its radius.
+The weight of each texel is the integral of the kernel over it, so a blur grows smoothly with its radius.
 """
 
 import math
@@ -21,10 +21,10 @@ from ._separable import weight_between
 
 
 def limit_radius(module: Any, field: str = "radius") -> None:
-    """Sets the upper bound on a `module`'s radius, rounded up to half texels; if left out, it is the radius itself.
+    """Sets the upper bound on a `module`'s radius, rounded up to half texels. The default is the radius itself.
 
-    Under a trace, where the radius is not known, it is then `TRACED_RADIUS`, and a greater radius is a runtime error.
-    Invalid values are left for `check_radius`.
+    Inside `jit`, where the radius is unknown, the default is `TRACED_RADIUS`. A larger radius is then a runtime error.
+    `check_radius` checks invalid values.
     """
     limit = f"max_{field}"
     radius, greatest = getattr(module, field), getattr(module, limit)
@@ -48,12 +48,12 @@ def _radius_limit(radius: Any, max_radius: Any) -> Any:
 
 
 TRACED_RADIUS = 8.0
-"""Upper bound on a radius that is traced, in texels, where none was given: time and memory grow with its square."""
+"""The default upper bound on a traced radius, in texels. Time and memory grow with its square."""
 
 
 def check_radius(module: Any, field: str = "radius") -> None:
-    """**Raises** `ValueError` if a `module`'s radius is known and above its upper bound, or if this bound is out of the
-    radius' range."""
+    """**Raises** `ValueError` if a `module`'s radius is known and above its upper bound, or if this bound is out of
+    range."""
     limit = f"max_{field}"
     check_value(f"{type(module).__name__}.{limit}", getattr(module, limit), module.settings.each()[field])
     check_order(module, field, limit, equal=True)
@@ -73,23 +73,23 @@ class Blur(eqx.Module):
 
     @property
     def reach(self) -> int:
-        """How many texels on each side of a texel the blur reads."""
+        """The number of texels on each side of a texel that the blur reads."""
         return math.ceil(self.max_radius - 0.5)
 
     @property
     def margin(self) -> int:
-        """How many texels a blurred map is wider on each side than the map. Its outermost texels have the value beyond
-        the border."""
+        """The number of texels on each side by which a blurred map is wider than the map. Its outermost texels have the
+        value beyond the border."""
         return self.reach + 1
 
     @property
     def weights(self) -> Float[Array, " k"]:
-        """The weights of the texels in a row; the middle one is at the kernel's centre."""
+        """The weights of the texels in a row. The middle texel is at the kernel's centre."""
         offset = jnp.arange(-self.reach, self.reach + 1, dtype=self.radius.dtype)
         return weight_between(self.kernel, at_most(self.radius, self.max_radius), offset - 0.5, offset + 0.5)
 
     def __call__(self, values: Float[Array, "*n h w"], beyond: Scalar) -> Float[Array, "*n H W"]:
-        """`values` blurred, `margin` texels wider on each side; `beyond` is the value outside the border."""
+        """`values` blurred, and `margin` texels wider on each side. `beyond` is the value outside the border."""
         around = [(0, 0)] * (values.ndim - 2) + [(self.reach + self.margin,) * 2] * 2
         wide = jnp.pad(values, around, constant_values=beyond)
         weights = self.weights
@@ -103,8 +103,8 @@ def bilinear_fetch(
     height, width = (size + 2 * margin for size in resolution)
 
     def split(position: Array, size: int) -> tuple[Array, Array]:
-        """The texel to the left of `position`, and the weight of the one to the right."""
-        # The margin's outermost texels hold the border's value, so look-ups may be clamped to them.
+        """The texel to the left of `position`, and the weight of the texel to the right."""
+        # The margin's outermost texels have the border's value, so look-ups may be clamped to them.
         position = jnp.clip(position - 0.5 + margin, 0, size - 1)
         left = jnp.minimum(jnp.floor(lax.stop_gradient(position)), size - 2)
         return left.astype(jnp.int32), position - left

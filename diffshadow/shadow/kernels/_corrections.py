@@ -1,13 +1,13 @@
 """Corrections by silhouettes to a sum of compares over texels.
 
-A texel with a silhouette has two parts with different depths. Its correction is the kernel's weight times the change
-of the compare: its mean over the covered part of the texel, less the compare with the stored depth. Each pair of a
-look-up (*n,) and a texel that it reads has a correction. The sums of a look-up's corrections are (*n,), as the
-kernel's sums are.
+A texel with a silhouette has two parts with different depths. Its correction is the kernel's weight times the change of
+the compare: the mean over the covered part of the texel, minus the compare with the stored depth. Each pair of a
+look-up (*n,) and a texel that it reads has a correction. The sums of a look-up's corrections are (*n,), like the
+kernel's sums.
 
-Few of the texels that are read have a silhouette, and such a texel costs many times a plain one. So the sum over stored
-depths is evaluated everywhere, and then corrected for each texel with a silhouette. Under a hard compare only if the
-receiver lies between the depths of its parts: beyond both, or before both, they compare alike.
+Few texels have a silhouette, and such a texel costs many times as much as a plain one. The sum over stored depths is
+therefore evaluated everywhere, and then corrected for each texel with a silhouette. Under a hard compare, this is only
+necessary if the receiver is between the depths of the texel's parts. Otherwise, both parts give the same result.
 """
 
 from collections.abc import Callable
@@ -32,8 +32,9 @@ from ._padded_silhouettes import may_part
 from ._set_bits import WIDTH, SetBits, empty_words, put_bits
 from ._terms import KEPT, AbstractTerms, At, checkpoint, zeros_like
 
-# Look-ups, and texels with silhouettes, per iteration of the loops over them, on a CPU and on a GPU. Arrays of a power
-# of two would begin in the same sets of a CPU's cache: a kernel that reads 26 of them took twice as long.
+# The number of look-ups, and of texels with silhouettes, per iteration of the loops over them, on a CPU and on a GPU.
+# Arrays with a power-of-two size would begin in the same sets of a CPU's cache. A kernel that reads 26 of them took
+# twice as long.
 _LOOKUPS_AT_ONCE = (1 << 13) + 16, 1 << 18
 _TEXELS_AT_ONCE = (1 << 14) + 16, 1 << 20
 
@@ -71,13 +72,13 @@ class Corrections(AbstractTerms):
         return _sums(found, values_at, lookups, count * texels * lookups, chunk_size(*_TEXELS_AT_ONCE))
 
     def where(self, active, function, at, steps):
-        """Gathers single look-ups, since few are active."""
+        """Gathers single look-ups, because few are active."""
         shape, size, steps = active.shape, active.size, jax.tree.map(jnp.asarray, steps)
         at = rearranged(at, lambda a: a.reshape(-1))
 
         def values_at(bit: Int[Array, " n"], word: Int[Array, " n"]) -> Any:
             lookup = jnp.minimum(word * WIDTH + bit, size - 1)
-            # Barrier: otherwise XLA computes these again for each number of a table.
+            # Without the barrier, XLA computes these again for each number of a table.
             lookup, place = lax.optimization_barrier((lookup, jnp.unravel_index(lookup, shape)))
 
             def own(table: Array) -> Array:
@@ -104,9 +105,9 @@ def _sums(
     most: int,
     at_once: int,
 ) -> Any:
-    """Sums (size,) of the values at set bits, `most` at most; each iteration adds `at_once`.
+    """Sums (size,) of the values at set bits, at most `most`. Each iteration adds `at_once`.
 
-    Given rows and columns of set bits, `values_at` returns places in the sums, and the values that are added there.
+    From rows and columns of set bits, `values_at` returns indices into the sums, and the values to add there.
     """
     at_once = min(at_once, most)
 
@@ -126,8 +127,8 @@ def _sums(
 
 
 def _find(padded: PaddedMap, compare: AbstractCompare, at: At, steps: Any) -> tuple[SetBits, int]:
-    """Which of the texels that each look-up reads in all steps may not compare alike in all of their parts, and how
-    many texels a step reads."""
+    """Which texels may have parts that compare differently, for each look-up in all steps, and the number of texels
+    that a step reads."""
     kernel, lookup = at
     silhouettes = padded.silhouettes
     assert silhouettes is not None
@@ -167,7 +168,7 @@ def _correction(
     number: Int[Array, "*n"],
     motion: tuple[Float[Array, "*n"], Float[Array, "*n"]] | None,
 ) -> Float[Array, "*n"]:
-    """The change of the sum by the silhouette in the texel of this `number`, which must have one.
+    """The change of the sum by the silhouette in the texel `number`, which must have one.
 
     The texel's compare is replaced by its mean over the part of the texel that the kernel covers. The outline is moved
     by `motion` if given.

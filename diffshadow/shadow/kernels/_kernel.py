@@ -1,7 +1,7 @@
 """Kernels: the texels that a filter reads around a receiver, and their weights.
 
 A filter is a sum over steps, such as taps or rows of texels. At each step its kernel reads a few neighbouring texels.
-The weights of a step are separable: a texel's weight is the product of its column's and its row's.
+The weights of a step are separable: a texel's weight is the product of its column's weight and its row's weight.
 """
 
 import abc
@@ -17,12 +17,12 @@ from .._compare import AbstractCompare
 from .._lookup import Lookup
 from ._padded_map import PaddedMap
 
-# The cost of a compare with one texel of a row, in taps. A tap costs more since it stores its texel's index.
+# The cost of a compare with one texel of a row, in taps. A tap costs more because it stores its texel's index.
 _COST_OF_A_TEXEL = 0.1
 
 
 class Span(NamedTuple):
-    """The weight of a column or row of texels, and the part of it that the kernel covers, relative to its middle."""
+    """The weight of a column or row of texels, and its part under the kernel, relative to its middle."""
 
     weight: Float[Array, "*n"] | float
     low: Float[Array, "*n"] | float = -0.5
@@ -88,9 +88,9 @@ class AbstractKernel(eqx.Module):
 
 
 class AbstractRow(AbstractKernel):
-    """One row of the square of texels that a filter reads; a step is the row's number, counted from the lowest.
+    """One row of the square of texels that a filter reads. A step is the row's number, counted from the lowest row.
 
-    - `texels`: number of texels along a side of the square.
+    - `texels`: number of texels per side of the square.
     """
 
     @property

@@ -1,8 +1,8 @@
 """Shadow maps laid out for look-ups.
 
-Empty texels, and everything beyond the border, must be lit for any width of a soft compare. Therefore the map is padded
-with empty texels, as many as a look-up reads along a side. Clamped look-ups then always read texels that exist, without
-a branch.
+Empty texels, and everything beyond the border, must be lit for any width of a soft compare. The map is therefore padded
+with empty texels. Their number on each side is the side of a look-up's square. Clamped look-ups then always read
+existing texels, without a branch.
 """
 
 import equinox as eqx
@@ -24,8 +24,8 @@ class PaddedMap(eqx.Module):
     """A shadow map's depths as a flat array, padded with depths that shadow nothing.
 
     - `margin`: texels on each side.
-    - `silhouettes`: the casters' outlines within texels, or none.
-    - `first`: the row of `depth` at which the map begins, if it is one of several in an `Atlas`.
+    - `silhouettes`: the casters' outlines within texels, or `None`.
+    - `first`: the first row of the map in `depth`, if it is one of several in an `Atlas`.
     - `apart`: whether the depths of all look-ups are read before any is compared.
     - `view`: the map's view, if derivatives follow it; see `Lookup.position`.
     """
@@ -45,16 +45,15 @@ class PaddedMap(eqx.Module):
         return self.width + 2 * self.margin
 
     def place(self, x: Float[Array, "*n"], y: Float[Array, "*n"], layer: Int[Array, "*n"] | None) -> Int[Array, "*n"]:
-        """Index of texel (x, y), integers. There are `margin` texels to its right, and as many above it.
-
-        If all of these texels lie outside the map, it is the index of other empty texels.
+        """Index of texel (x, y), integers. There are `margin` texels to its right and `margin` texels above it. If all
+        of these texels are outside the map, the index refers to other empty texels.
         """
         row = _count_from(-self.margin, y, self.height)
         if layer is not None:
             row = row + layer * (self.height + 2 * self.margin)
         if self.first is not None:
             row = row + self.first
-        # Barrier: otherwise XLA computes indices where it reads texels, one by one instead of in SIMD vectors.
+        # Without the barrier, XLA computes indices where it reads texels, one by one instead of in SIMD vectors.
         return lax.optimization_barrier(row * self.stride + _count_from(-self.margin, x, self.width))
 
     def depth_at(self, place: Int[Array, "*n"], skip: Int[Array, ""] | int) -> Float[Array, "*n"]:
@@ -68,9 +67,9 @@ class PaddedMap(eqx.Module):
     def texel(
         self, position: tuple[Float[Array, "*n"], ...], layer: Int[Array, "*n"] | None
     ) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
-        """x and y of points in the world, where `view` sees them.
+        """x and y of world points in the map of `view`.
 
-        They are separate arrays, since in reverse mode XLA is slow to add up axes of three coordinates.
+        They are separate arrays, because XLA is slow to add up axes of three coordinates in reverse mode.
         """
         assert self.view is not None
         matrix = self.view.facing(layer).matrix
@@ -78,7 +77,7 @@ class PaddedMap(eqx.Module):
             sum((matrix[..., row, k] * at for k, at in enumerate(position)), start=matrix[..., row, 3])
             for row in (0, 1, 3)
         )
-        # What is not in front of the light has no silhouette near.
+        # Points that are not in front of the light have no silhouette nearby.
         w = jnp.where(is_in_front(self.view, w), w, 1)
         return (x / w * 0.5 + 0.5) * self.width, (y / w * 0.5 + 0.5) * self.height
 
@@ -91,7 +90,7 @@ class PaddedMap(eqx.Module):
     def read(self, row: Array, place: Int[Array, "*n"], skip: Int[Array, ""] | int) -> Array:
         """Like `depth_at`, from another flat array with the same layout."""
         from_there = lax.dynamic_slice(row, (skip,), (row.size - (self.margin - 1) * (self.stride + 1),))
-        # XLA clamps indices: signed ones to two bounds, unsigned ones to one.
+        # XLA clamps signed indices to two bounds, and unsigned indices to one.
         index, element = place.astype(jnp.uint32)[..., None], lax.GatherDimensionNumbers((), (0,), (0,))
         return lax.gather(from_there, index, element, (1,), mode="promise_in_bounds")
 
@@ -99,9 +98,8 @@ class PaddedMap(eqx.Module):
 def _count_from(first: int, x: Float[Array, "*n"], last: int) -> Int[Array, "*n"]:
     """`x - first` for integers x from `first` to `last`, and `last - first` for all others.
 
-    Adding 1.5 · 2^23 to a small integer puts it into the lowest bits of a float32. This takes one SIMD instruction,
-    while a conversion takes several since it checks the range. As unsigned words, negative differences exceed all
-    others.
+    Adding 1.5 · 2^23 to a small integer puts it into the lowest bits of a float32. This takes one SIMD instruction. A
+    conversion takes several, because it checks the range. As unsigned words, negative differences exceed all others.
     """
     dtype = np.dtype(x.dtype)
     word = np.dtype(f"uint{8 * dtype.itemsize}")
@@ -111,7 +109,8 @@ def _count_from(first: int, x: Float[Array, "*n"], last: int) -> Int[Array, "*n"
 
 
 def pad(shadow_map: ShadowMap, margin: int = 2) -> PaddedMap:
-    """Pads a map with empty texels, unless it is padded; `margin` is how many texels a look-up reads along a side."""
+    """Pads a map with empty texels, unless it is padded already. `margin` is the number of texels per side that a
+    look-up reads."""
     ready = shadow_map.padded
     if ready is not None and ready.margin >= margin:
         return ready
@@ -120,7 +119,7 @@ def pad(shadow_map: ShadowMap, margin: int = 2) -> PaddedMap:
 
     def padded(values: Array, beyond: int | float | np.uint32) -> Array:
         sides = [(0, 0)] * (values.ndim - 2) + [(margin, margin)] * 2
-        # Barrier: otherwise XLA pads again for each reader, or texel by texel to make the flat array.
+        # Without the barrier, XLA pads again for each reader, or texel by texel to make the flat array.
         return lax.optimization_barrier(jnp.pad(values, sides, constant_values=beyond)).reshape(-1)
 
     found = shadow_map.silhouettes

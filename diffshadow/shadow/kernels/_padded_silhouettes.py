@@ -13,14 +13,14 @@ from ..._arithmetic import take
 from .._lookup import Lookup
 from ..silhouettes import NO_SILHOUETTE, Rectangle, SilhouetteMap
 
-# Lower bound on the area of a part of a texel, in square texels; avoids 0 / 0.
+# Lower bound on the area of a part of a texel, in square texels, which avoids 0 / 0.
 _MIN_AREA = 1e-9
-# Bounds of depths are numbers of steps: the least in the upper half of a word, and the greatest in its lower half.
+# Bounds of depths are numbers of steps, with the minimum in the upper half of a word and the maximum in its lower half.
 _STEP_BITS = 16
 _STEPS = (1 << _STEP_BITS) - 1
-# The bounds of no depths.
+# The bounds of an empty set of depths.
 _NONE = np.uint32(_STEPS << _STEP_BITS)
-# Squares are taken to be this much wider (texels), since the positions of their sides are rounded.
+# Squares are widened by this much, in texels, because the positions of their sides are rounded.
 _ROUNDING = 1 / 16
 
 
@@ -44,7 +44,7 @@ class PaddedSilhouettes(eqx.Module):
         pad: Callable[[Array, Any], Array],
         beyond: float,
     ) -> "PaddedSilhouettes":
-        """Pads the slots by `pad`, as `depth` is, and puts depths of empty parts `beyond` all others."""
+        """Pads the slots by `pad`, like `depth`, and sets the depths of empty parts `beyond` all others."""
         slot = silhouettes.slot
         inner, outer = (jnp.where(part < 1, part, beyond) for part in (silhouettes.inner, silhouettes.outer))
         replaced = pad(slot, NO_SILHOUETTE), inner, outer
@@ -52,7 +52,7 @@ class PaddedSilhouettes(eqx.Module):
         depth, inner, outer = lax.stop_gradient((depth, inner, outer))
         of_parts = lambda choose: choose(depth, take(choose(inner, outer), jnp.maximum(slot, 0)))
         bounds = _in_steps(of_parts(jnp.minimum)) << _STEP_BITS | _in_steps(of_parts(jnp.maximum))
-        # Barrier, as the depth's: otherwise each look-up finds them again.
+        # Without the barrier, each look-up finds them again.
         bounds = lax.optimization_barrier(jnp.where(slot == NO_SILHOUETTE, _NONE, bounds))
         return cls(padded, pad(bounds, _NONE), BlockBounds.of(bounds))
 
@@ -78,10 +78,10 @@ class PaddedSilhouettes(eqx.Module):
 def may_part(
     bounds: UInt32[Array, "*n"], depths: tuple[Float[Array, "*n"], Float[Array, "*n"]] | None = None
 ) -> Bool[Array, "*n"]:
-    """Whether receivers may lie between the parts of texels with these bounds.
+    """Whether receivers may be between the parts of texels with these bounds.
 
-    `depths` are the least and the greatest depth that receivers may have; any depth if left out. Receivers are rounded
-    down to steps, like the bounds, so that some receivers close to a part may count as between the parts.
+    `depths` are the minimum and the maximum depth that receivers may have; by default any depth. Receivers are rounded
+    down to steps, like the bounds, so some receivers close to a part may count as between the parts.
     """
     least, greatest = bounds >> _STEP_BITS, bounds & _STEPS
     if depths is None:
@@ -107,18 +107,18 @@ class BlockBounds(eqx.Module):
 
     @classmethod
     def of(cls, bounds: UInt32[Array, "*l h w"]) -> "BlockBounds":
-        """Given the bounds within texels."""
+        """The blocks, from the bounds within texels."""
         level, first = _with_next(bounds.reshape(-1, *bounds.shape[-2:]), 1), 0
         flat, levels = [], []
         while True:
-            # Barrier: otherwise XLA computes finer levels again for each coarser one.
+            # Without the barrier, XLA computes finer levels again for each coarser one.
             level = lax.optimization_barrier(level)
             _, rows, columns = level.shape
             flat.append(level.reshape(-1))
             levels.append((first, rows, columns))
             first += level.size
             if max(rows, columns) <= 4:
-                # Barrier: otherwise XLA finds the level of each word apart, which takes ten times as long.
+                # Without the barrier, XLA finds the level of each word separately, which takes ten times as long.
                 return cls(jnp.concatenate(lax.optimization_barrier(flat)), tuple(levels))
             level = _with_next(level, 2)[:, ::2, ::2]
 
@@ -133,7 +133,7 @@ class BlockBounds(eqx.Module):
         This reads the finest level whose 2 x 2 blocks cover the square.
         """
         x, y, reach, depths = lax.stop_gradient((lookup.x, lookup.y, reach, depths))
-        # Blocks that begin at most twice their spacing apart leave no gap. The square touches at most four spacings.
+        # Blocks that begin at most twice their spacing apart leave no gap. The square overlaps at most four spacings.
         level = jnp.ceil(jnp.log2(jnp.maximum((2 * reach + _ROUNDING) / 3, 1))).astype(jnp.int32)
         level = jnp.minimum(level, len(self.levels) - 1)
         first, rows, columns = jnp.moveaxis(jnp.array(self.levels, jnp.int32)[level], -1, 0)
@@ -153,7 +153,8 @@ class BlockBounds(eqx.Module):
 
 
 def _with_next(bounds: UInt32[Array, "l h w"], apart: int) -> UInt32[Array, "l h w"]:
-    """Bounds of the depths at each place and those so far `apart` from it, above, to the right and both."""
+    """Bounds of the depths at each position and at the positions at the distance `apart` above, to the right and
+    both."""
     for axis in (1, 2):
         sides = [(0, apart if own == axis else 0) for own in range(3)]
         after = lax.slice_in_dim(jnp.pad(bounds, sides, constant_values=_NONE), apart, None, axis=axis)

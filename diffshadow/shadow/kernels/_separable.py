@@ -1,7 +1,7 @@
 """Separable kernels of any radius: box, tent and Gaussian.
 
-A texel's weight is the integral of the kernel over it, so that the kernel moves and grows smoothly. Integrals are for
-radius 1, like pbrt's filters (Pharr, Jakob & Humphreys, "Physically Based Rendering", section 8.8).
+A texel's weight is the integral of the kernel over it, so the kernel moves and grows smoothly. Integrals are for radius
+1, like pbrt's filters (Pharr, Jakob & Humphreys, "Physically Based Rendering", section 8.8).
 """
 
 import math
@@ -16,7 +16,7 @@ from ...settings.filters import Shape
 from .._lookup import Lookup
 from ._kernel import AbstractSizedRow, Footprint, Span
 
-# Standard deviations at which the Gaussian is cut off.
+# The cut-off of the Gaussian in standard deviations.
 _DEVIATIONS = 3.0
 _WITHIN_DEVIATIONS = math.erf(_DEVIATIONS / math.sqrt(2))
 MIN_RADIUS = 1e-3
@@ -35,14 +35,14 @@ def weight_between(
 ) -> Float[Array, "*n"]:
     """The weight, in [0, 1], of the interval from `low` to `high` under a kernel of this `radius` around 0.
 
-    Weights of intervals that cover the kernel sum to 1, and so their derivatives to 0. Where a side of an interval lies
-    on the kernel's end, derivatives are those of a smaller radius.
+    Weights of intervals that cover the kernel sum to 1, so their derivatives sum to 0. If a side of an interval is at
+    the kernel's end, derivatives are those of a smaller radius.
     """
     radius = jnp.maximum(radius, MIN_RADIUS)
 
     def until(x: Array) -> Array:
         u = x / radius
-        # Not by a clip, which halves derivatives at its bounds.
+        # Not a clip, which halves derivatives at its bounds.
         return INTEGRALS[shape](jnp.where(u < 1, jnp.where(u > -1, u, -1), 1))
 
     # Rounding must not make a weight negative: blurred exponentials would become negative.
@@ -61,7 +61,7 @@ class SeparableRow(AbstractSizedRow):
         return Footprint(column, row, [span(left, i) for i in range(self.texels)], [span(below, step)], step)
 
     def _first(self, position: Float[Array, "*n"]) -> tuple[Array, Array]:
-        """The first texel along one axis, and where it begins, relative to `position`."""
+        """The first texel along one axis, and its start relative to `position`."""
         own = jnp.floor(position)
         # Relative to the position's own texel, so that weights sum to 1 at any distance from the origin.
         within = position - own

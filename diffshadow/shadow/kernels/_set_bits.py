@@ -71,6 +71,6 @@ def put_bits(words: UInt32[Array, "w n"], first: Int[Array, ""], bits: list[Bool
     for k in range(0, len(bits), WIDTH):
         some: Any = sum(bit.astype(jnp.uint32) << i for i, bit in enumerate(bits[k : k + WIDTH]))
         word, shift = (first + k) // WIDTH, ((first + k) % WIDTH).astype(jnp.uint32)
-        # Two shifts, since a shift by the word's width is undefined.
+        # Two shifts, because a shift by the word's width is undefined.
         words = words.at[word].add(some << shift).at[word + 1].add(some >> (WIDTH - 1 - shift) >> 1)
     return words

@@ -22,7 +22,7 @@ from ._kernel import AbstractKernel, AbstractRow
 from ._padded_map import PaddedMap, pad
 from ._terms import AbstractTerms, checkpoint, total, zeros_like
 
-# The cost of one iteration of the loop over a kernel's steps, in taps: longer iterations run no faster, compile more
+# The cost of one iteration of the loop over a kernel's steps, in taps. Longer iterations run no faster, compile more
 # slowly and take more memory.
 _COST_OF_A_STEP = 4
 # The cost of a step with its derivatives, relative to the step alone.
@@ -49,21 +49,20 @@ def sum_over(
         shape, or are scalars.
     - `steps`: the kernel's steps: a pytree of arrays whose first axis is the step. Arrays that differ between the
         pixels of a block have its axes too, (n, rows, 1, columns). They carry no gradient.
-    - `active`: where the sum is needed, in blocks; it is 0 elsewhere. Everywhere if left out.
-
-    Differentiable with respect to all but `steps`.
+    - `active`: where the sum is needed, in blocks; by default everywhere. It is 0 elsewhere. Differentiable with
+      respect to everything except `steps`.
     """
     silhouettes = padded.silhouettes
     if not compare.has_depth_derivative:
         # Derivatives with respect to depths are zero, and XLA would compute them for all pixels and the whole map.
         padded, lookup = padded.with_depths_detached(), lookup.with_depths_detached()
     position, lookup = lookup.position, lookup.at(lookup.x, lookup.y)
-    # Without what is not read: XLA would compute its derivatives, which are zero.
+    # Without unused fields, whose zero derivatives XLA would compute.
     plain_map = dataclasses.replace(padded, silhouettes=None, view=None)
     if silhouettes is None:
         return total(_Plain(), plain_map, compare, (kernel, lookup), steps, active)
-    # With a hard compare, the derivative by a receiver's position comes from outlines alone: steps between texels have
-    # none.
+    # With a hard compare, only outlines give a derivative with respect to a receiver's position. Steps between texels
+    # give none.
     follows_outlines = not compare.has_depth_derivative
     still = lookup.detached() if follows_outlines else lookup
     plain = total(_Plain(), plain_map, compare, (kernel, still), steps, active)
@@ -108,7 +107,7 @@ class _Plain(AbstractTerms):
             return total
 
         def step(total: Any, some: Any) -> tuple[Any, None]:
-            # Barrier: otherwise XLA hoists computations out of the loop, and each step reads them from memory.
+            # Without the barrier, XLA hoists computations out of the loop, and each step reads them from memory.
             return add(total, *lax.optimization_barrier((at, some))), None
 
         total, loops = jax.tree.map(zeros_like, like), count // at_once
@@ -116,10 +115,11 @@ class _Plain(AbstractTerms):
             head = jax.tree.map(lambda s: s[: loops * at_once].reshape(loops, at_once, *s.shape[1:]), steps)
             total, _ = lax.scan(step, total, head)
             steps = jax.tree.map(lambda s: s[loops * at_once :], steps)
-        # Barrier: otherwise every step computes the look-ups itself.
+        # Without the barrier, every step computes the look-ups itself.
         total = add(total, lax.optimization_barrier(at), steps)
-        # Barrier: otherwise XLA iterates over the pixels in the order of the sum's consumer, and no longer vectorizes.
-        # One barrier per array, since derivatives use the sum before they are complete themselves.
+        # Without the barrier, XLA iterates over the pixels in the order of the sum's consumer, and no longer
+        # vectorizes. There is one barrier per array, because derivatives use the sum before they are complete
+        # themselves.
         return jax.tree.map(lax.optimization_barrier, total)
 
     def where(self, active, function, at, steps):
@@ -135,7 +135,7 @@ class _Plain(AbstractTerms):
         most = jnp.max(rank) + 1
         at_once = min(i * j, round_up_to_power_of_two(max(1, chunk_size(*_AT_ONCE) // (p * q))))
         capacity = math.ceil(i * j / at_once) * at_once
-        # Runs that are not chosen go to the last slot, which is never read; empty slots hold the number `runs`.
+        # Runs that are not chosen go to the last slot, which is never read. Empty slots have the number `runs`.
         queue = jnp.full((p, capacity + 1), runs, jnp.int32)
         slot = jnp.arange(p)[:, None], jnp.where(chosen, rank, capacity)
         queue = queue.at[slot].set(number, mode="promise_in_bounds")
@@ -150,6 +150,6 @@ class _Plain(AbstractTerms):
         none = lambda own: jax.tree.map(zeros_like, like)
         step = lambda at_step: lax.cond(for_any(at_step[0] * at_once < most), some, none, at_step[1])
         values = lax.map(step, (jnp.arange(capacity // at_once, dtype=jnp.int32), queue))
-        # Every run is put once, so `add` equals `set`; unlike `set`, it has a transpose.
+        # Every run is stored once, so `add` equals `set`. In contrast to `set`, it has a transpose.
         put = lambda values: jnp.zeros((runs, q), values.dtype).at[queue].add(values, mode="drop").reshape(active.shape)
         return jax.tree.map(lambda values: jnp.where(active, put(values), 0), values)

@@ -22,7 +22,7 @@ from ._sum import sum_over
 
 Radius = Float[Array, "..."] | tuple[Float[Array, "..."], Float[Array, "..."]]
 
-# Half the width of a square that stands for a point, in texels.
+# Half the width of a square that represents a point, in texels.
 _POINT = 1 / 512
 
 
@@ -30,11 +30,11 @@ class Tap(AbstractKernel):
     """A tap at `radius · offset` from the look-up; a step is the offset (x, y).
 
     A nearest tap compares with the texel that contains it; the result has no derivative with respect to position. If
-    the texel has a silhouette, the side that the tap lies on counts. A bilinear tap compares with the four texels
-    around it and interpolates the four results (never the depths).
+    the texel has a silhouette, the side of the tap counts. A bilinear tap compares with the four texels around it and
+    interpolates the four results (never the depths).
 
     - `radius`: the radius in texels; or a pair, along the map's x and along its y.
-    - `turn`: cosine and sine of the angle by which each look-up rotates its offsets; none for no rotation.
+    - `turn`: cosine and sine of the angle by which each look-up rotates its offsets; `None` for no rotation.
     """
 
     mode: TapMode = eqx.field(static=True)
@@ -58,7 +58,7 @@ class Tap(AbstractKernel):
         radius_x, radius_y = self.radii
         x, y = radius_x * x, radius_y * y
         if self.mode == "bilinear" or lookup.slope is not None:
-            # Barrier: otherwise some uses of the position round the product, and others fuse it with the sum below.
+            # Without the barrier, some uses of the position round the product, and others fuse it with the sum below.
             x, y = lax.optimization_barrier(x), lax.optimization_barrier(y)
         x, y = lookup.x + x, lookup.y + y
         if self.mode == "nearest":
@@ -98,10 +98,8 @@ def mean_of_taps(
     - `radius`: the radius in texels, a scalar or one for each look-up; or a pair, along the map's x and along its y.
     - `pattern`: the offsets of each look-up, as the pixels of an image.
     - `mode`: `"nearest"` or `"bilinear"` taps. With nearest taps, `radius` and position have no gradient.
-    - `active`: the look-ups whose mean is needed, (h, w); the mean of other look-ups is 0, and mostly skipped. All if
-        left out.
-
-    Differentiable with respect to all but `pattern`.
+    - `active`: the look-ups whose mean is needed, (h, w); by default all. The mean of other look-ups is 0, and mostly
+      skipped. Differentiable with respect to everything except `pattern`.
     """
     turn = None
     if pattern.rotated:
@@ -118,5 +116,5 @@ def _offsets(pattern: Pattern, blocks: Blocks) -> tuple[Float[Array, "n p 1 q"],
     """The pattern's offsets x and y for each pixel of a block."""
     offsets = lax.stop_gradient(pattern.offsets)
     wide = jnp.tile(offsets, (1, 1, blocks.columns // blocks.rows, 1))[:, :, None]
-    # Barrier: otherwise each tap slices its offset out of the pattern, at every pixel.
+    # Without the barrier, each tap slices its offset out of the pattern, at every pixel.
     return lax.optimization_barrier((wide[..., 0], wide[..., 1]))

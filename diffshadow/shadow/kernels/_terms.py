@@ -1,4 +1,4 @@
-"""Sums over what kernels read, and their derivatives."""
+"""Sums over the texels that kernels read, and their derivatives."""
 
 import abc
 import dataclasses
@@ -18,17 +18,17 @@ from ._kernel import AbstractKernel
 from ._padded_map import PaddedMap
 
 KEPT = "kept"
-"""The name of what reverse mode keeps of active look-ups, by `checkpoint_name`."""
+"""The `checkpoint_name` of the values that reverse mode keeps for active look-ups."""
 
 checkpoint = partial(jax.checkpoint, policy=jax.checkpoint_policies.save_only_these_names(KEPT))
-"""For functions of active look-ups: in reverse mode, computes all but what is kept again."""
+"""For functions of active look-ups. In reverse mode, recomputes everything except the kept values."""
 
 At = tuple[AbstractKernel, Lookup]
-"""Where a sum is evaluated: look-ups, and a kernel whose arrays have one value per look-up."""
+"""The arguments of a sum: look-ups, and a kernel whose arrays have one value per look-up."""
 
 
 class AbstractTerms(eqx.Module):
-    """The terms of a sum, and the order in which they are added up."""
+    """The terms of a sum, and the order of their addition."""
 
     @abc.abstractmethod
     def term(self, padded: PaddedMap, compare: AbstractCompare, at: At, step: Any) -> Float[Array, "*n"]:
@@ -77,7 +77,7 @@ def _total_jvp(primals, tangents):
     spread = lambda leaf: jnp.broadcast_to(leaf, lookup.depth.shape) if eqx.is_inexact_array(leaf) else leaf
     at, position = _position_apart(jax.tree.map(spread, kernel), lookup)
     d_at, d_position = _position_apart(d_kernel, d_lookup)
-    # Where look-ups are given as points in the world, x and y follow these and the map's view.
+    # If look-ups are given as points in the world, x and y depend on these and on the map's view.
     follows = position is not None and bool(jax.tree.leaves((d_padded.view, d_position)))
     moves = jax.tree.map(lambda d: d is not None, d_at, is_leaf=_is_none)
     place = lambda at: (at[1].x, at[1].y)
@@ -85,7 +85,7 @@ def _total_jvp(primals, tangents):
         moves = eqx.tree_at(place, moves, (True, True))
 
     def term(padded: PaddedMap, compare: AbstractCompare, at: At, step: Any) -> Array:
-        # XLA does not vectorize the derivatives of a soft compare in a kernel that gathers depths too, and compiles it
+        # XLA does not vectorize the derivatives of a soft compare in a kernel that also gathers depths, and compiles it
         # slowly.
         apart = compare.has_depth_derivative
         return terms.term(dataclasses.replace(padded, apart=apart), compare, at, step)
@@ -118,7 +118,7 @@ def _total_jvp(primals, tangents):
 
 
 def _position_apart(kernel: AbstractKernel, lookup: Lookup) -> tuple[At, Any]:
-    """A kernel with its look-up, or their tangents, and the look-up's position apart from both."""
+    """A kernel with its look-up, or their tangents, and the look-up's position separately."""
     apart = eqx.tree_at(lambda lookup: lookup.position, lookup, None, is_leaf=_is_none)
     return (kernel, apart), lookup.position
 

@@ -1,4 +1,4 @@
-"""Kernels with given weights: bilinear compares that lie one texel apart."""
+"""Kernels with given weights: bilinear compares one texel apart."""
 
 from typing import Any
 
@@ -10,20 +10,20 @@ from ._kernel import AbstractRow, Footprint, Span
 
 
 class WeightedRow(AbstractRow):
-    """One row of the texels under a square of bilinear compares that lie one texel apart, numbered from the lowest.
+    """One row of the texels under a square of bilinear compares one texel apart, numbered from the lowest.
 
-    A position between two texel centres, a fraction s of the way to the right one, has the weights (1 - s) k + s k',
-    where k' is the kernel k shifted by one texel.
+    At a position between two texel centres, at the fraction s towards the right one, the weights are (1 - s) k + s k'.
+    Here k' is the kernel k, shifted by one texel.
 
-    - `weights`: weights of the compare in the middle, and of the compares 1, 2, ... texels from it along each axis.
-        Weights of a kernel that averages sum to 1, with all but the first counted twice.
+    - `weights`: weights of the compare at the centre, and of the compares 1, 2, ... texels from it along each axis.
+      Weights of an averaging kernel sum to 1 if all except the first are counted twice.
     """
 
     weights: tuple[Float[Array, "..."], ...]
 
     @property
     def texels(self) -> int:
-        """Texels that the kernel reads along a side."""
+        """Texels per side that the kernel reads."""
         return 2 * len(self.weights)
 
     def footprint(self, lookup: Lookup, step: Int[Array, "*n"]) -> Footprint:
@@ -46,7 +46,7 @@ class WeightedRow(AbstractRow):
         return Span((1 - shift) * self._weight(from_middle) + shift * self._weight(from_middle - 1))
 
     def _weight(self, from_middle: Array | int) -> Array | float:
-        """The weight of the compare so many texels from the middle; 0 beyond the kernel."""
+        """The weight of the compare at this distance from the centre, in texels; 0 beyond the kernel."""
         if isinstance(from_middle, int):
             return self.weights[abs(from_middle)] if abs(from_middle) < len(self.weights) else 0.0
         at = jnp.abs(from_middle)

@@ -1,4 +1,4 @@
-"""How a shadow map's texels are laid out over the scene, one way per file."""
+"""Layouts of a shadow map's texels over the scene. Each layout has its own file."""
 
 from ._abstract import AbstractLayout as AbstractLayout
 from ._abstract import Choice as Choice

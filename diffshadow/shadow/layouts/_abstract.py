@@ -14,12 +14,12 @@ from ._figures import LayerFigure, MapFigure
 
 
 class Choice(NamedTuple):
-    """Which layers of a map each point is looked up in.
+    """The layers of a map that each point is looked up in.
 
-    - `layer`: (h, w); none for a map without layers.
-    - `other`, `weight`: (h, w), a second layer, and the weight of the first layer in the mean of both; none if there is
-        only one layer.
-    - `strength`: (h, w), the strength of shadows, from 1 to 0 where the map ends; none if it is 1 everywhere.
+    - `layer`: (h, w); `None` for a map without layers.
+    - `other`, `weight`: (h, w), a second layer, and the weight of the first layer in the mean of both; `None` if there
+      is only one layer.
+    - `strength`: (h, w), the strength of shadows, from 1 to 0 at the end of the map; `None` if it is 1 everywhere.
     """
 
     layer: Int[Array, "h w"] | None
@@ -44,7 +44,7 @@ class AbstractLayout(CheckedModule):
 
         **Arguments:**
 
-        - `camera`: where the image is drawn from.
+        - `camera`: the camera of the image.
         - `resolution`: (height, width) of each layer, in texels, as `layer_resolution` returns it.
         - `surface`: the surface that the camera sees; required if `needs_surface`, and otherwise ignored.
 
@@ -66,8 +66,8 @@ class AbstractLayout(CheckedModule):
         return ()
 
     def check_reach(self, reach: float) -> None:
-        """**Raises** `ValueError` if a technique that reads the map `reach` texels from a receiver would read beyond
-        what its layers show."""
+        """**Raises** `ValueError` if a technique that reads the map up to `reach` texels from a receiver would read
+        beyond its layers."""
 
     def layer_resolution(self, resolution: Resolution) -> Resolution:
         """(height, width) of a layer in texels, for a map of `resolution`."""
@@ -75,7 +75,7 @@ class AbstractLayout(CheckedModule):
 
     @abc.abstractmethod
     def choose(self, light: AbstractLight, points: Float[Array, "h w 3"]) -> Choice:
-        """The layers in which `points` (h, w, 3), in world units, are looked up; `light` is the result of the method
+        """The layers in which `points` (h, w, 3), in world units, are looked up. `light` is the result of the method
         `light`."""
 
     def shader(self, light: AbstractLight) -> ShaderPart:
@@ -85,7 +85,7 @@ class AbstractLayout(CheckedModule):
         """
         raise ValueError(
             f"the layout is {type(self).__name__}, whose pages have no shader; expected SingleMap, Cascades or "
-            "PerspectiveWarp: cascades selected by map come nearest"
+            "PerspectiveWarp: the most similar is cascades selected by map"
         )
 
     def map_figure(self, light: AbstractLight) -> MapFigure | None:
@@ -97,6 +97,6 @@ class AbstractLayout(CheckedModule):
         return None
 
     def remarks(self, light: AbstractLight) -> tuple[str, ...]:
-        """Remarks on faults of the map of `light` that other settings would mend. They are sentences without the
-        subject, which is the light."""
+        """Remarks on faults of the map of `light` that other settings would remove. They are sentences without their
+        subject, the light."""
         return ()

@@ -1,5 +1,5 @@
-"""A directional light whose shadow map is made of cascades: their views, in which of them each point is looked up, and
-how they are blended."""
+"""A directional light whose shadow map has cascades: their views, the choice of a cascade for each point, and the
+blending of cascades."""
 
 import equinox as eqx
 import jax
@@ -15,7 +15,7 @@ from ._abstract import Choice
 from ._fitted_light import AbstractFittedLight
 
 MIN_BLEND = 1e-6
-"""The least share of a slice over which cascades are blended: 1 / blend has to be finite."""
+"""The minimum share of a slice over which cascades are blended, because 1 / blend has to be finite."""
 
 
 class CascadedLight(AbstractFittedLight):
@@ -28,14 +28,14 @@ class CascadedLight(AbstractFittedLight):
     - `camera`: the view of the camera.
     - `begins`, `ends`: (l,), the range of depth along the camera's axis that each cascade covers, in world units. A
         range may begin before the previous range ends.
-    - `scale`, `offset`: (l, 2), each cascade's window in the light's own clip space: a point's clip coordinates x and y
-        in the cascade are `scale · xy + offset`.
-    - `margin`: (l, 2), how far from the border of a cascade a point must lie to be in it, in its clip space, if
-        cascades are selected by map.
-    - `select`: how a point's cascade is found.
+    - `scale`, `offset`: (l, 2), each cascade's window in the light's own clip space: the clip coordinates x and y of a
+      point in the cascade are `scale · xy + offset`.
+    - `margin`: (l, 2), the minimum distance of a point in a cascade from the cascade's border, in its clip space, if
+      cascades are selected by map.
+    - `select`: the method for the choice of a point's cascade.
     - `steps`: (l, 2), see `View.steps`.
-    - `sides`: (l,), the side of each cascade in texels: it is the lower left square of its layer, and the texels beyond
-        stay empty. `None` if cascades fill their layers.
+    - `sides`: (l,), the side of each cascade in texels. A cascade is the lower left square of its layer, and the other
+      texels stay empty. `None` if cascades fill their layers.
     """
 
     light: AbstractLight
@@ -56,7 +56,7 @@ class CascadedLight(AbstractFittedLight):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What each cascade shows, and its side in texels if cascades have different sides. Only for concrete
+        """The content of each cascade, and its side in texels if cascades have different sides. Only for concrete
         lights."""
         names = [f"up to {float(end):.3g} deep" for end in self.ends]
         if self.sides is not None:
@@ -72,7 +72,7 @@ class CascadedLight(AbstractFittedLight):
     def layer(self, points: Float[Array, "*n 3"]) -> Int[Array, "*n"]:
         points = lax.stop_gradient(points)
         if self.select == "interval":
-            # Written out, since few comparisons in one pass are faster than a reduction.
+            # Written out, because a few comparisons in one pass are faster than a reduction.
             depth = self.depth(points)
             beyond = [depth > self.ends[k] for k in range(self.count - 1)]
             return sum((past.astype(jnp.int32) for past in beyond), start=jnp.zeros(depth.shape, jnp.int32))
@@ -82,7 +82,7 @@ class CascadedLight(AbstractFittedLight):
         return result
 
     def to_border(self, points: Float[Array, "*n 3"], layer: Int[Array, "*n"] | int) -> Float[Array, "*n"]:
-        """How far inside the margin of cascade `layer` the `points` lie, in half widths of the cascade; negative
+        """The distance of `points` inside the margin of cascade `layer`, in half widths of the cascade; negative
         outside of it."""
         own = self.light.view().clip(points)
         at = self.scale[layer] * own[..., :2] + self.offset[layer]
@@ -94,10 +94,10 @@ class CascadedLight(AbstractFittedLight):
 
         **Arguments:**
 
-        - `blend`: over which part of a slice, or of the map's half width, a cascade fades into the next; none if
-            cascades are not blended.
-        - `fade`: over which part of the last slice, at its end, shadows fade out; none if there are shadows beyond the
-            slice.
+        - `blend`: the fraction of a slice, or of the map's half width, over which a cascade fades into the next; `None`
+          if cascades are not blended.
+        - `fade`: the fraction of the last slice, at its end, over which shadows fade out; `None` if there are shadows
+          beyond the slice.
         """
         layer, depth = self.layer(points), self.depth(points)
         strength = None if fade is None else self._strength(depth, fade)
@@ -114,7 +114,7 @@ class CascadedLight(AbstractFittedLight):
         return Choice(layer, other, jnp.where(last, 1, weight), strength)
 
     def _strength(self, depth: Float[Array, "h w"], fade: float) -> Float[Array, "h w"]:
-        """How strong shadows are at a `depth`, from 1 to 0 beyond the last slice."""
+        """The strength of shadows at a `depth`, from 1 to 0 beyond the last slice."""
         begin = self.begins[0] if self.count == 1 else self.ends[-2]
         from_end = (self.ends[-1] - depth) / (self.ends[-1] - begin)
         return jnp.where(from_end < 0, 0.0, 1.0) if fade == 0 else jnp.clip(from_end / fade, 0, 1)

@@ -25,7 +25,7 @@ from ._figures import LayerFigure, MapFigure
 from ._fitted import AbstractFittedLayout, check_depths, margin_of
 from ._frustum import ViewFrustum, depths_of
 
-# The least size of a cascade, as a fraction of the light's own map, for slices that see nothing of what that shows.
+# The minimum size of a cascade, as a fraction of the light's own map, for slices that see no part of this map.
 _MIN_SIZE = 1e-3
 # Relative rounding error of shares: a thousandth of a texel in the largest maps.
 _ROUNDING = 1e-6
@@ -35,40 +35,38 @@ class Cascades(AbstractFittedLayout):
     """Cascades for a directional light. The camera's view is split by depth into slices, and each slice has its own
     layer of the shadow map.
 
-    Maps near the camera show less, in smaller texels. With a camera's depths from n to f and λ = `logarithmic`, slice i
-    of N ends at `λ n (f/n)^(i/N) + (1 - λ) (n + (f - n) i/N)` (the practical split scheme of Zhang et al. 2006).
-    Logarithmic slices give all cascades the same worst aliasing. Uniform slices suit scenes with little near the
-    camera.
+    Maps near the camera show a smaller region, in smaller texels. With a camera's depths from n to f and λ =
+    `logarithmic`, slice i of N ends at `λ n (f/n)^(i/N) + (1 - λ) (n + (f - n) i/N)` (the practical split scheme of
+    Zhang et al. 2006). Logarithmic slices give all cascades the same worst aliasing. Uniform slices suit scenes with
+    little near the camera.
 
     - `count`: the number of cascades.
-    - `logarithmic`: λ, from 0 for slices of equal depth to 1 for slices of equal ratio of depths.
+    - `logarithmic`: λ, from 0 for slices of equal depth to 1 for slices with equal ratios of depths.
     - `distances`: the end of each slice along the camera's axis, in world units; instead of `count` and `logarithmic`.
         The last distance is the shadow distance.
     - `shares`: for each cascade a number greater than 0, its number of texels relative to the other cascades. A map of
-        R² texels for each of N cascades has N R² in all; the side of cascade i is `R sqrt(N share_i / Σ share)`,
-        rounded down. All layers have the size of the largest cascade. Smaller cascades fill the lower left square of
-        their layer. If left out, all fill their layers. Such a map is square, and has no silhouettes.
+      R² texels for each of N cascades has N R² texels in total. The side of cascade i is `R sqrt(N share_i / Σ share)`,
+      rounded down. All layers have the size of the largest cascade. Smaller cascades fill the lower left square of
+      their layer. By default, all cascades fill their layers. A map with shares is square, and has no silhouettes.
     - `max_share`: the greatest fraction of all texels that a cascade may get, in (0, 1], for which memory is reserved;
         defaults to the largest of `shares`.
-    - `depths`: the depths n and f that are split. `"camera"`: the camera's near and far. `"surface"`: the least and
-        greatest depth of the surface that the camera sees (sample distribution shadow maps, Lauritzen, Salvi &
-        Lefohn 2011).
-    - `shadow_distance`: the depth, in world units, beyond which nothing is shadowed; f if left out.
-    - `fit`: what each cascade contains. `"cascade"`: its slice. `"scene"`: everything up to the end of the slice. This
-        spends texels on surfaces that finer cascades already show.
-    - `stabilize`: whether texels keep their place on the scene's surfaces when the camera moves. Each cascade then
-        contains the least sphere around its slice, whose size does not change when the camera turns, and moves by whole
-        texels. Otherwise it contains the box of its slice, cut to the light's own map. Texels keep their place only if
-        slices do: with `depths="camera"`, and a camera with constant near and far.
+    - `depths`: the depths n and f that are split. `"camera"`: the camera's near and far. `"surface"`: the minimum and
+      maximum depth of the visible surface (sample distribution shadow maps, Lauritzen, Salvi & Lefohn 2011).
+    - `shadow_distance`: the depth, in world units, beyond which nothing is shadowed; by default f.
+    - `fit`: the content of each cascade. `"cascade"`: its slice. `"scene"`: everything up to the end of the slice. This
+      spends texels on surfaces that finer cascades already show.
+    - `stabilize`: whether texels stay in place on the scene's surfaces when the camera moves. Each cascade then
+      contains the smallest sphere around its slice. The size of the sphere does not change when the camera turns, and
+      the cascade moves by whole texels. Otherwise it contains the box of its slice, clipped to the light's own map.
+      Texels stay in place only if slices do: with `depths="camera"`, and a camera with constant near and far.
     - `select`: the cascade in which a receiver is looked up. `"interval"`: by its depth. `"map"`: the first cascade
         whose map contains the receiver, which uses more of the finer maps.
     - `blend`: the fraction of a slice, at its end, over which its cascade fades into the next; 0 for a sharp change.
         With `select="map"`, the fraction of the map's half width, at its border.
     - `max_blend`: the greatest `blend` that a fit may reach, for which maps reserve space; defaults to `blend`.
     - `fade`: the fraction of the last slice, at its end, over which shadows fade out if there is a shadow distance.
-    - `margin`: how far the maps extend beyond their slices, in texels, so that filters read no texels beyond the
-        border: at least the greatest radius of the filter, plus half a texel if its look-ups are bilinear, plus any
-        normal offset.
+    - `margin`: the margin of the maps beyond their slices, in texels, so that filters read no texels beyond the border:
+      at least the maximum radius of the filter, plus half a texel if its look-ups are bilinear, plus any normal offset.
 
     **Raises** `ValueError` for distances that do not increase.
     """
@@ -108,7 +106,7 @@ class Cascades(AbstractFittedLayout):
         if self.shadow_distance is not None or self.depths != "camera":
             raise ValueError(
                 f"the cascades have distances, and also shadow_distance = {self.shadow_distance} or depths = "
-                f"{self.depths!r}; expected the last distance to be the shadow distance: remove the others"
+                f"{self.depths!r}; expected the last distance as the shadow distance: remove the others"
             )
         known = [concrete(each) for each in distances]
         if not any(each is None for each in known) and not (np.diff(np.array(known, float)) > 0).all():
@@ -122,8 +120,8 @@ class Cascades(AbstractFittedLayout):
         given = None if any(each is None for each in known) else np.array(known, float)
         if len(shares) != self.count:
             raise ValueError(
-                f"the cascades have {counted(len(shares), 'share')}, and their count is {self.count}; expected as "
-                "many: give one for each"
+                f"the cascades have {counted(len(shares), 'share')}, and their count is {self.count}; expected the "
+                "same number: give one share for each cascade"
             )
         if not 0 < self.max_share <= 1:
             raise ValueError(f"the cascades' max_share is {self.max_share}; expected more than 0, and at most 1")
@@ -141,9 +139,10 @@ class Cascades(AbstractFittedLayout):
         return ("blend",)
 
     def layer_resolution(self, resolution: Resolution) -> Resolution:
-        """(height, width) of a layer in texels; with shares, as large as the largest cascade that `max_share` allows.
+        """(height, width) of a layer in texels. With shares, it is as large as the largest cascade that `max_share`
+        allows.
 
-        **Raises** `ValueError` for shares of a map that is not square, or a layer that is too large to draw.
+        **Raises** `ValueError` for shares of a map that is not square, or for a layer that is too large to draw.
         """
         if self.shares is None:
             return resolution
@@ -171,17 +170,17 @@ class Cascades(AbstractFittedLayout):
         return jnp.stack([sides, sides], axis=-1)
 
     def _least_resolution(self, resolution: Resolution) -> Resolution:
-        """(height, width) of the smallest cascade; `resolution` if shares are not known yet."""
+        """(height, width) of the smallest cascade, or `resolution` if shares are not known yet."""
         sides = None if self.shares is None else concrete(self.sides(resolution))
         return resolution if sides is None else (int(sides.min()), int(sides.min()))
 
     def splits(self, near: Scalar, far: Scalar) -> Float[Array, " k"]:
-        """Where the slices of depths from `near` to `far` begin and end, (count + 1,), in world units."""
+        """The boundaries of the slices of depths from `near` to `far`, (count + 1,), in world units."""
         if self.distances is not None:
             return jnp.stack([near, *self.distances])
         fraction = np.arange(1, self.count) / self.count
         uniform = near + (far - near) * fraction
-        # Only where it counts: an orthographic camera's near may be negative.
+        # Only where it matters, because an orthographic camera's near may be negative.
         ratio = jnp.where(self.logarithmic > 0, far / jnp.where(self.logarithmic > 0, near, 1), 1)
         between = uniform + self.logarithmic * (near * ratio**fraction - uniform)
         return jnp.concatenate([near[None], between, far[None]])
@@ -203,7 +202,7 @@ class Cascades(AbstractFittedLayout):
 
         **Raises** `ValueError` for a light that is not directional, a map too small for the margin, a shadow distance
         beyond the camera's far plane, or distances outside of the camera's range; for logarithmic slices of a camera
-        whose near distance is not positive; and what `layer_resolution` raises.
+        whose near distance is not positive; and for the errors of `layer_resolution`.
         """
         self.check(light, camera, self._least_resolution(resolution), surface)
         if self.distances is not None:
@@ -249,9 +248,9 @@ class Cascades(AbstractFittedLayout):
         if not (self.stabilize and self.depths == "surface"):
             return ()
         return (
-            "has cascades that are not stable, although stabilize is true: with depths = surface, slices follow what "
-            "the camera sees, so that cascades change size and texels move on surfaces as it moves; set depths to "
-            "camera for stable ones, or stabilize to false for finer texels",
+            "has cascades that are not stable, although stabilize is true: with depths = surface, slices follow the "
+            "camera's view, so cascades change size and texels move on surfaces when the camera moves; set depths to "
+            "camera for stable cascades, or stabilize to false for finer texels",
         )
 
     def map_figure(self, light: AbstractLight) -> MapFigure:
@@ -283,14 +282,14 @@ def _cascaded_light(
     resolution: Resolution,
     surface: Surface | None,
 ) -> CascadedLight:
-    # A map's texels have no derivative by where it lies.
+    # A map's texels have no derivative with respect to its position.
     from_camera, from_light = camera.view(), lax.stop_gradient(light.view())
     near, far = depths_of(from_camera, surface, layout.shadow_distance)
     splits = layout.splits(near, far)
     lengths = splits[1:] - splits[:-1]
     ends = splits[1:]
     begins = jnp.concatenate([splits[:1], ends[:-1] - layout.max_blend * lengths[:-1]])
-    # As data, whether or not there are shares, so that both are computed in the same way.
+    # Always data, with or without shares, so that both are computed in the same way.
     sides = lax.optimization_barrier(layout.sides(resolution))
     texels, frustum = as_float(sides), ViewFrustum.of(from_camera)
     firsts = jnp.broadcast_to(splits[0], ends.shape) if layout.fit == "scene" else begins
@@ -305,14 +304,14 @@ def _cascaded_light(
 
 
 def _greatest(shares: Any) -> float:
-    """The greatest part of all texels that one of `shares` is; 1 if these are wrong, or none."""
+    """The largest fraction of all texels that one of `shares` takes; 1 if shares are invalid or missing."""
     numbers = [share for share in shares or () if eqx.is_array(share)]
     return float(max(numbers)) / (float(sum(numbers)) or 1.0) if numbers else 1.0
 
 
 def _side(resolution: int, part: Any) -> Any:
-    """The side of a square of `part` times `resolution`² texels, rounded down. A side that is whole stays so, whatever
-    the rounding errors of `part`."""
+    """The side of a square of `part` times `resolution`² texels, rounded down. A whole side stays whole despite
+    rounding errors of `part`."""
     if isinstance(part, float):
         return math.floor(resolution * math.sqrt(part) * (1 + _ROUNDING))
     return jnp.floor(resolution * jnp.sqrt(part) * (1 + _ROUNDING)).astype(jnp.int32)
@@ -321,9 +320,9 @@ def _side(resolution: int, part: Any) -> Any:
 def _around_spheres(
     light: View, centre: Float[Array, "l 3"], radius: Float[Array, " l"], texels: Float[Array, "l 2"], margin: float
 ) -> tuple[Float[Array, "l 2"], Float[Array, "l 2"]]:
-    """Scale and offset of windows around spheres, which move by whole texels."""
+    """Scale and offset of windows around spheres. The windows move by whole texels."""
     per_unit = jnp.stack([light.eye_to_clip[0, 0], light.eye_to_clip[1, 1]])
-    # One texel more than the sphere, since its centre may lie half a texel from the window's.
+    # One texel more than the sphere, because its centre may be half a texel from the window's.
     width = 2 * radius[:, None] * per_unit * (texels / (texels - 1 - 2 * margin))
     moved = jnp.round(light.clip(centre)[:, :2] * texels / width)
     return 2 / width, -2 * moved / texels

@@ -1,4 +1,4 @@
-"""What figures show of a layout."""
+"""Figures of a layout."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -9,12 +9,12 @@ from ..._types import Mask
 
 
 class MapFigure(NamedTuple):
-    """How the layers of a map are named in a figure.
+    """The names of a map's layers in a figure.
 
     - `title`: title of the figure.
-    - `layers`: what each layer shows, for layers that are shown side by side; none if the layers are combined into one
-        image.
-    - `used`: how many layers show anything; empty layers come last.
+    - `layers`: the content of each layer, for layers that are shown side by side; `None` if the layers are combined
+      into one image.
+    - `used`: the number of layers that show anything; empty layers come last.
     """
 
     title: str
@@ -23,15 +23,15 @@ class MapFigure(NamedTuple):
 
 
 class LayerFigure(NamedTuple):
-    """Which layers an image is looked up in, as colours over the image.
+    """The layers that an image is looked up in, as colours over the image.
 
     - `name`: name of the figure's file, a word.
-    - `title`, `subtitle`: above the figure.
-    - `labels`: what each colour in the legend means, by its number.
+    - `title`, `subtitle`: the text above the figure.
+    - `labels`: the meaning of each colour in the legend, by its number.
     - `colour`: (h, w), the number of the colour at each pixel.
-    - `other`, `weight`: (h, w), a second colour, and the weight of the first colour in the mean of both; none if there
-        is only one colour.
-    - `brightness`: (h, w), a factor of the colour; none for a factor of 1.
+    - `other`, `weight`: (h, w), a second colour, and the weight of the first colour in the mean of both; `None` if
+      there is only one colour.
+    - `brightness`: (h, w), a factor of the colour; `None` for a factor of 1.
     - `shown`: (h, w), which pixels are coloured.
     """
 

@@ -1,4 +1,4 @@
-"""Layouts that are fitted to what a camera sees."""
+"""Layouts that are fitted to a camera's view."""
 
 from collections.abc import Sequence
 
@@ -17,11 +17,11 @@ _ROUNDING = 1e-6
 
 
 class AbstractFittedLayout(AbstractLayout):
-    """A layout for directional lights that is fitted to what a camera sees.
+    """A layout for directional lights that is fitted to a camera's view.
 
     - `shadow_distance`: the depth along the camera's axis, in world units, beyond which nothing is shadowed; `None` for
         the camera's far.
-    - `margin`: how far maps extend beyond what the camera sees, in texels.
+    - `margin`: the margin of maps beyond the camera's view, in texels.
     """
 
     shadow_distance: eqx.AbstractVar[Scalar | None]
@@ -30,8 +30,9 @@ class AbstractFittedLayout(AbstractLayout):
     def check_reach(self, reach: float) -> None:
         if self.margin < reach * (1 - _ROUNDING):
             raise ValueError(
-                f"the layout's margin is {self.margin:g} texels, and the filter and the normal offset read "
-                f"{reach:g} texels from a receiver, where the map may end; expected at least that: raise margin, or "
+                f"the layout's margin is {self.margin:g} texels, and the filter and the normal offset read up to "
+                f"{reach:g} texels from a receiver, beyond the map's end; expected at least this margin: raise "
+                "margin, or "
                 "lower the radius"
             )
 
@@ -39,8 +40,8 @@ class AbstractFittedLayout(AbstractLayout):
         self, light: AbstractLight, camera: AbstractCamera, resolution: Resolution, surface: Surface | None
     ) -> None:
         """**Raises** `ValueError` unless the layout's numbers are in range, the light is directional, maps of
-        `resolution` have texels within their margin, the shadow distance lies within the camera's depths, and there is
-        a surface if one is needed."""
+        `resolution` have texels within their margin, the shadow distance is within the camera's depths, and there is a
+        surface if the layout needs one."""
         # Numbers may have been replaced since the layout was made.
         check_again(self)
         if not light.is_directional:
@@ -54,7 +55,9 @@ class AbstractFittedLayout(AbstractLayout):
                 f"(height, width); expected more than {2 * self.margin + 1:g}: enlarge the maps, or lower margin"
             )
         if self.needs_surface and surface is None:
-            raise ValueError("the layout follows the depths of the surface, and none was given; expected a surface")
+            raise ValueError(
+                "the layout follows the depths of the surface, but no surface was given; expected a surface"
+            )
         if self.shadow_distance is not None:
             check_depths("shadow_distance is", [self.shadow_distance], camera)
 
@@ -65,7 +68,7 @@ def margin_of(margin: float | None) -> float:
 
 
 def check_depths(what: str, depths: Sequence[Scalar], camera: AbstractCamera) -> None:
-    """**Raises** `ValueError` if `depths`, which `what` names, are known and not within the camera's near and far."""
+    """**Raises** `ValueError` if `depths` are known and not within the camera's near and far. `what` names them."""
     near, far = concrete(camera.near), concrete(camera.far)
     known = [float(depth) for depth in map(concrete, depths) if depth is not None]
     if near is not None and far is not None and known and not (near < min(known) and max(known) <= far):

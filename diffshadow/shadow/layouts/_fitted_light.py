@@ -1,4 +1,4 @@
-"""Directional lights whose shadow maps are fitted to what a camera sees."""
+"""Directional lights whose shadow maps are fitted to a camera's view."""
 
 import equinox as eqx
 from jaxtyping import Array, Float
@@ -8,7 +8,7 @@ from ...geometry import AbstractLight, Domain, View
 
 
 class AbstractFittedLight(AbstractLight):
-    """A directional light whose shadow map is fitted to what a camera sees. Its light comes from another light.
+    """A directional light whose shadow map is fitted to a camera's view. Its light comes from another light.
 
     - `light`: the directional light.
     - `camera`: the view of the camera.
@@ -29,7 +29,7 @@ class AbstractFittedLight(AbstractLight):
 
     @property
     def angular_radius(self) -> Scalar | None:
-        """Half the light's angular diameter, in degrees; none for a light without a size."""
+        """Half the light's angular diameter, in degrees. `None` for a light without a size."""
         return getattr(self.light, "angular_radius", None)
 
     @property

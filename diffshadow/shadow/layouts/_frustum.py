@@ -1,4 +1,4 @@
-"""What a camera sees: its frustum, and the depths of the surface in it."""
+"""A camera's view: its frustum, and the depths of the surface in it."""
 
 from typing import NamedTuple
 
@@ -13,11 +13,11 @@ from ...raster import Surface
 
 
 class ViewFrustum(NamedTuple):
-    """What a camera sees.
+    """A camera's view.
 
     - `eye`: (3,), its position; `axes`: (3, 3), the unit vectors to its right, up and forward; in world space.
-    - `corners`: (4, 2), how far the image's corners lie to the right of and above the axis, at depth 1 if
-        `is_perspective`.
+    - `corners`: (4, 2), the offsets of the image's corners to the right of and above the axis, at depth 1 if
+      `is_perspective`.
     """
 
     eye: Vec3
@@ -28,7 +28,8 @@ class ViewFrustum(NamedTuple):
     @classmethod
     def of(cls, view: View) -> "ViewFrustum":
         turn, shift, clip = view.world_to_eye[:3, :3], view.world_to_eye[:3, 3], view.eye_to_clip
-        # Where clip coordinates are -1 and 1: in multiples of depth for a perspective view, whose w is the depth.
+        # The positions of clip coordinates -1 and 1. For a perspective view, they are multiples of depth, because w is
+        # the depth.
         across = lambda k: (np.array([-1.0, 1.0]) + (clip[k, 2] if view.is_perspective else -clip[k, 3])) / clip[k, k]
         corners = jnp.stack(jnp.meshgrid(across(0), across(1)), axis=-1).reshape(4, 2)
         backward = jnp.array([1.0, 1.0, -1.0])[:, None]
@@ -45,15 +46,16 @@ class ViewFrustum(NamedTuple):
         """The centres (l, 3) and radii (l,) of the smallest spheres around parts of the camera's view, each between two
         depths.
 
-        The radii depend on the camera's field of view, not on its pose. This is true to the bit, so that a camera that
-        turns does not change their size.
+        The radii depend on the camera's field of view, not on its pose. This is true to the bit, so a rotation of the
+        camera does not change their size.
         """
         k2 = jnp.max(jnp.sum(self.corners**2, axis=-1))
         half = (end - begin) / 2
         if not self.is_perspective:
             middle, radius = (begin + end) / 2, jnp.sqrt(half**2 + k2)
         else:
-            # The sphere touches the corners of both ends; or only the far end's corners, whose disk is then its middle.
+            # The sphere contains the corners of both ends, or only the corners of the far end. In the second case, its
+            # centre is that end's centre.
             both = (begin + end) * (1 + k2) / 2
             radius = jnp.sqrt(half**2 + (begin**2 + end**2) * k2 / 2 + ((begin + end) * k2 / 2) ** 2)
             middle, radius = jnp.minimum(both, end), jnp.where(both >= end, end * jnp.sqrt(k2), radius)
@@ -61,13 +63,13 @@ class ViewFrustum(NamedTuple):
 
 
 def depths_of(camera: View, surface: Surface | None, shadow_distance: Scalar | None) -> tuple[Scalar, Scalar]:
-    """The least and greatest depth along the camera's axis that maps are fitted to, world units.
+    """The minimum and maximum depth along the camera's axis that maps are fitted to, in world units.
 
     **Arguments:**
 
-    - `surface`: the surface that the camera sees, if maps are fitted to its depths; none to fit them to all depths from
-        the camera's near to its far.
-    - `shadow_distance`: upper bound on both depths; none if there is no bound.
+    - `surface`: the visible surface, if maps are fitted to its depths; `None` to fit them to all depths from the
+      camera's near to its far.
+    - `shadow_distance`: upper bound on both depths; `None` for no bound.
     """
     near, far = camera.near, camera.far
     if surface is not None:

@@ -20,10 +20,10 @@ class PagedLight(AbstractFittedLight):
     - `end`: the depth along the camera's axis at which shadows end, in world units.
     - `pages`: the resident pages. Layers without a page are never looked up, and not drawn.
     - `finest`: (c, c), the layer of the finest resident page over each page of level 0.
-    - `requested`: the number of pages that were requested, at the layout's own bias of levels.
+    - `requested`: the number of requested pages, at the layout's own bias of levels.
     - `bias`: the bias of levels at which pages are resident. It is the layout's own bias, unless this bias requests
         more pages than there are layers.
-    - `raised`: by how many levels it was raised, so that all pages have a layer.
+    - `raised`: the number of levels by which it was raised, so that all pages have a layer.
     - `too_coarse`: the share in [0, 1] of the points that need a finer level than the finest.
     """
 

@@ -22,41 +22,41 @@ from ._figures import LayerFigure, MapFigure
 from ._fitted import AbstractFittedLayout, margin_of
 from ._paged_light import PagedLight
 
-# By which fraction of a level the bias is raised until all pages fit.
+# The fraction of a level by which the bias is raised until all pages fit.
 _STEPS = 16
 # Extents on the screen, in pixels, below which surfaces count as seen edge-on.
 _MIN_EXTENT = 1e-12
-# The share of too coarse points that is worth a remark.
+# The share of points at too coarse a level that causes a remark.
 _MANY = 0.01
 
 
 class ResolutionMatched(AbstractFittedLayout):
     """A virtual shadow map for a directional light: only the pages that the camera's surface needs are drawn.
 
-    The light's own map exists at several levels of resolution. Each point of the surface requests the page that
-    contains it at the level at which a texel is as large as a pixel. Let J be the motion of the point on the screen, in
-    pixels, if it moves by a texel of level 0 along the map's axes. The level is `floor(-log₂ e)`, with e the greater
-    singular value of J, or the root of its determinant. Adaptive shadow maps (Fernando, Fernandez, Bala & Greenberg
-    2001) find pages by iteration instead, and virtual shadow maps keep them from one image to the next.
+    The light's own map exists at several levels of resolution. Each point of the surface requests its page at the level
+    where a texel is as large as a pixel. Let J be the motion of the point on the screen, in pixels, if it moves by a
+    texel of level 0 along the map's axes. The level is `floor(-log₂ e)`, with e the greater singular value of J, or the
+    root of its determinant. Adaptive shadow maps (Fernando, Fernandez, Bala & Greenberg 2001) find pages by iteration
+    instead, and virtual shadow maps keep them from one image to the next.
 
     The map's `resolution` is the number of texels in memory, including gutters. If the requested pages have more
     texels, all levels are raised by the same bias, in steps of 1/16, until the pages fit (`PagedLight.raised`). Every
-    part of the scene has a page, but texels get larger, and shadows narrower than a texel may be lost. In the end, only
-    the root is resident: a plain map with as many texels as a page.
+    part of the scene then still has a page, but texels get larger, and shadows narrower than a texel may be lost. At
+    the limit, only the root is resident: a plain map with as many texels as a page.
 
     A point is looked up in the finest resident page that contains it. This is the page that the point requested, or a
     finer page that another point requested. Pages in which no point is looked up are not drawn. Points that the camera
     does not see are looked up in the same way, in the root if no other page contains them.
 
-    Biases and radii of filters are in texels of the page, so that shadows are as sharp as the screen everywhere, and
-    filters change in width where levels do. A page is drawn with a gutter, so that filters meet no seam. A map with
+    Biases and radii of filters are in texels of the page. Shadows are therefore as sharp as the screen everywhere, and
+    the width of filters changes with the level. A page is drawn with a gutter, so that filters meet no seam. A map with
     silhouettes cannot be resolution-matched.
 
     - `page`: side of a page, in texels, without its gutter; a power of two from 16 to 1024.
     - `finest`: side of the light's whole map at level 0, in texels; a power of two, at most 65536, and from 2 to 1024
         pages. Points that need a finer level are looked up at level 0.
-    - `norm`: `"area"` matches the area of a texel to a pixel's area, `"worst"` the longest extent to a pixel's side,
-        so that nothing is undersampled, with more texels.
+    - `norm`: `"area"` matches the area of a texel to a pixel's area, `"worst"` matches the longest extent to a pixel's
+      side, so that nothing is undersampled. It needs more texels.
     - `level_bias`: added to all levels before they are rounded down, -16 to 16: -1 halves the side of a texel on the
         screen. It is raised if pages do not fit, so a low value fills the available memory.
     - `shadow_distance`: the depth along the camera's axis, in world units, beyond which nothing is shadowed; `None` for
@@ -104,7 +104,7 @@ class ResolutionMatched(AbstractFittedLayout):
         return side, side
 
     def capacity(self, resolution: Resolution) -> int:
-        """How many pages with their gutters have as many texels as a map of `resolution`.
+        """The number of pages with gutters that fit into a map of `resolution`.
 
         **Raises** `ValueError` if there is no space for a page.
         """
@@ -151,7 +151,7 @@ class ResolutionMatched(AbstractFittedLayout):
         return MapFigure(f"{counted(count, 'page')}, from fine to coarse", None, count)
 
     def layer_figure(self, light: AbstractLight, surface: Surface) -> LayerFigure:
-        """The level of each page as a colour; neighbouring pages are a little lighter or darker."""
+        """The level of each page as a colour. Neighbouring pages are slightly lighter or darker."""
         assert isinstance(light, PagedLight)
         layer, _, _, strength = self.choose(light, surface.position)
         pages, shown = light.pages, surface.mask if strength is None else surface.mask & (strength > 0)
@@ -193,7 +193,7 @@ class ResolutionMatched(AbstractFittedLayout):
 def _paged_light(
     layout: ResolutionMatched, light: AbstractLight, camera: AbstractCamera, capacity: int, surface: Surface
 ) -> PagedLight:
-    # Which pages are resident has no derivative.
+    # The choice of resident pages has no derivative.
     fixed_light, camera, surface = lax.stop_gradient((light, camera, surface))
     end = camera.far if layout.shadow_distance is None else lax.stop_gradient(layout.shadow_distance)
     needed, needs = levels_needed(layout, fixed_light, camera, surface)
@@ -201,14 +201,14 @@ def _paged_light(
     levels, across = layout.levels, 1 << (layout.levels - 1)
     window = fixed_light.view().clip(surface.position)[..., :2] * 0.5 + 0.5
     column, row = (cell_of(window[..., k], levels) for k in range(2))
-    # Of points over the same page of level 0, the finest level counts: all are looked up in its page.
+    # For points over the same page of level 0, the finest level counts, because all of them are looked up in its page.
     cell = jnp.where(needs, row * across + column, across * across)
     bounded = jnp.clip(needed, -levels, levels)
     cells = jnp.full(across * across, jnp.inf, bounded.dtype).at[cell].min(bounded, mode="drop")
     cells = cells.reshape(across, across)
 
     own_bias = lax.stop_gradient(layout.level_bias)
-    # The least step of the bias at which all pages fit. At the last step only the root is left.
+    # The first step of the bias at which all pages fit. At the last step, only the root is left.
     resident_at = lambda step: _resident(cells, own_bias + step.astype(cells.dtype) / _STEPS, levels)
     fits = lambda step: jnp.sum(resident_at(step), dtype=jnp.int32) <= capacity
     most = math.ceil((2 * levels + MAX_LEVEL_BIAS) * _STEPS)
@@ -220,7 +220,7 @@ def _paged_light(
         return jnp.where(enough, low, middle + 1), jnp.where(enough, middle, high)
 
     requested = jnp.sum(resident_at(jnp.int32(0)), dtype=jnp.int32)
-    # Most often no step is needed.
+    # Usually, no step is needed.
     bounds = jnp.int32(0), jnp.where(requested <= capacity, 0, most).astype(jnp.int32)
     _, step = lax.while_loop(lambda bounds: bounds[0] < bounds[1], halve, bounds)
     pages = Pages.of(resident_at(step), layout.page, layout.gutter, levels, capacity)
@@ -235,10 +235,10 @@ def _paged_light(
 def levels_needed(
     layout: ResolutionMatched, light: AbstractLight, camera: AbstractCamera, surface: Surface
 ) -> tuple[Float[Array, "h w"], Mask]:
-    """The level at which a texel is as large as a pixel, (h, w), as a real number without bounds; and which points of
-    the surface the map may shadow, since they face the light and lie within its map."""
+    """The level at which a texel is as large as a pixel, (h, w), as a real number without bounds; and the points of the
+    surface that the map may shadow, because they face the light and are within its map."""
     view = light.view()
-    # Pixels without a surface have no place on the screen.
+    # Pixels without a surface have no position on the screen.
     points = jnp.where(surface.mask[..., None], surface.position, camera.target)
     window = lambda points: view.clip(points)[..., :2] * 0.5 + 0.5
     texel = lambda points: window(points) * layout.finest
@@ -252,16 +252,16 @@ def levels_needed(
 
 
 def _resident(cells: Float[Array, "c c"], bias: Scalar, levels: int) -> Bool[Array, " n"]:
-    """Which pages of all levels are resident: the root, and all pages that some point is looked up in.
+    """The resident pages of all levels: the root, and all pages that a point is looked up in.
 
     **Arguments:**
 
-    - `cells`: the finest level that is needed in each page of level 0; infinite where none is.
+    - `cells`: the finest level that is needed in each page of level 0; infinite if none is needed.
     """
     root = levels - 1
     level = jnp.clip(jnp.floor(cells + bias), 0, root).astype(jnp.int32)
     row, column = jnp.indices(cells.shape, jnp.int32)
-    # Cells that need none request the root.
+    # Cells that need no page request the root.
     number = Pages.number(levels, level, row >> level, column >> level)
     requested = jnp.zeros(Pages.total(levels), bool).at[number].set(True)
     numbers = jnp.arange(requested.shape[0], dtype=jnp.int32)

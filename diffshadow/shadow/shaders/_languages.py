@@ -1,15 +1,15 @@
 """The languages that shaders are exported to.
 
-Parts of shaders are written in GLSL, by rules that let each line be turned into another language:
+Parts of shaders are written in GLSL. These rules allow a translation of each line into other languages:
 
-- a declaration has a line of its own, and so has a function's head, which ends in ` {`;
-- numbers have a decimal point where a float is meant, and vectors are made of as many numbers as they have;
+- each declaration has its own line, and so does a function's head, which ends in ` {`;
+- floats have a decimal point, and vectors are made from one number for each component;
 - parameters are not assigned to, and vectors are assigned whole;
-- `shadow_select(no, yes, condition)` stands for `?:`; matrices are multiplied by `shadow_times`;
-- a map is a `sampler2D` that is handed on, read by `shadow_fetch` and measured by `shadow_size`;
+- `shadow_select(no, yes, condition)` replaces `?:`; matrices are multiplied by `shadow_times`;
+- a map is a `sampler2D` argument, read by `shadow_fetch` and measured by `shadow_size`;
 - another texture is a `ShadowTexture`, read by `shadow_texel`;
-- `SHADOW_MAPS` stands for the parameters, and `shadow_maps` for the arguments, of the map and all other textures;
-- what has a name of its own begins with `shadow`, `SHADOW_` or `Shadow`, for `renamed`.
+- `SHADOW_MAPS` expands to the parameters of the map and all other textures, and `shadow_maps` to the arguments;
+- all global names begin with `shadow`, `SHADOW_` or `Shadow`, for `renamed`.
 """
 
 import re
@@ -41,7 +41,7 @@ class Language(NamedTuple):
 
     @property
     def prelude(self) -> str:
-        """Functions that differ between languages."""
+        """The functions that differ between languages."""
         return text_of(f"shaders/prelude.{self.suffix}").replace("ShadowTexture", self.texture)
 
     def constant(self, constant: Constant) -> str:
@@ -61,14 +61,14 @@ class Language(NamedTuple):
 
 
 def renamed(text: str, name: str) -> str:
-    """The text of a shader whose function is called `name`, and whose other names begin with it."""
+    """The text of a shader whose function has the name `name`. Its other names begin with `name`."""
     kinds = {"shadow": name, "SHADOW_": f"{name.upper()}_", "Shadow": "".join(map(str.capitalize, name.split("_")))}
     own = r"\b(shadow)(?=\(|_\w)|\b(SHADOW_)(?=\w)|\b(Shadow)(?=[A-Z])"
     return re.sub(own, lambda found: kinds[found[0]], text)
 
 
 def _float(value: float) -> str:
-    """Nine significant digits, which are all of single precision, and a decimal point."""
+    """Nine significant digits, the full precision of float32, and a decimal point."""
     text = f"{value:.9g}"
     return text if "." in text or "e" in text else f"{text}.0"
 

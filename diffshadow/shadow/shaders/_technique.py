@@ -22,15 +22,15 @@ from ..filters._pcss import PercentageCloserSoft, half_width_of
 from ..layouts import CascadedLight, Cascades, PerspectiveWarp, WarpedLight
 from ._languages import LANGUAGES, renamed
 
-# Why a technique has no shader, and which one is the most similar.
+# The reasons why techniques have no shader, and the most similar techniques that have one.
 _REFUSED: Mapping[type[AbstractTechnique], str] = {
-    ShadowVolumes: "it draws volumes into a stencil buffer, and looks nothing up; the most similar is ShadowMapping "
+    ShadowVolumes: "it draws volumes into a stencil buffer, without a look-up; the most similar is ShadowMapping "
     "with a large map and the filter Nearest",
     IrregularZBuffer: "it stores a list of pixels for each texel; the most similar is ShadowMapping with Cascades",
     ProjectiveShadow: "it reads a texture and compares no depths; the most similar is ShadowMapping",
     AbstractEngineShadows: "its shader is the engine's own; `diffshadow convert` writes its settings",
 }
-# Longer arrays are buffers in languages that compile them for minutes.
+# Longer arrays are buffers in languages whose compilers would take minutes.
 _MAX_TABLE = 256
 _NAME = r"(?!gl_)[A-Za-z](?:[A-Za-z0-9]|_(?!_))*"
 
@@ -42,12 +42,10 @@ def to_shader(
     name: str = "shadow",
     first_binding: int = 0,
 ) -> str:
-    """A technique as a function of a shader, with the same result as `technique.visibility`.
-
-    Its comment says what its arguments are. Its numbers are constants above it, with all digits of single precision.
-    The constants `SHADOW_NEAR` and `SHADOW_FAR` belong to the light's matrices. For a filter that blurs the map, such
-    as `VarianceShadowMap`, call the functions `shadow_blur_rows` and `shadow_blur_columns` in the fragment shaders of
-    two passes.
+    """A technique as a shader function with the same result as `technique.visibility`. A comment describes its
+    arguments. Its numbers are constants before it, with all digits of single precision. The constants `SHADOW_NEAR` and
+    `SHADOW_FAR` belong to the light's matrices. For a filter that blurs the map, such as `VarianceShadowMap`, call the
+    functions `shadow_blur_rows` and `shadow_blur_columns` in the fragment shaders of two passes.
 
     **Arguments:**
 
@@ -55,8 +53,8 @@ def to_shader(
     - `light`: the light that the map was drawn from: a directional, spot or point light; for cascades or a warp,
         `technique.light_of_map(scene)`.
     - `language`: `"glsl"` (3.30 or ES 3.00), `"wgsl"`, or `"hlsl"` (shader model 5).
-    - `name`: name of the function, in small letters. All other names begin with it, so that shaders of different names
-        fit into one program.
+    - `name`: name of the function, in small letters. All other names begin with it, so that one program can have
+      shaders with different names.
     - `first_binding`: for WGSL, the binding of the first array that is a buffer of group 1; see `shader_buffers`.
 
     **Raises** `ValueError` for a technique, a part or a light that has no shader, and for an invalid name.
@@ -96,7 +94,7 @@ def shader_buffers(
     Compilers of WGSL take minutes for a table of thousands of numbers, such as a pattern of 32 points for each of 8²
     pixels. In WGSL, tables of more than 256 numbers are therefore storage buffers. Other languages have none.
 
-    **Raises** what `to_shader` raises.
+    **Raises** the errors of `to_shader`.
     """
     buffers = _buffers_of(_shader_of(technique, light), language)
     return {renamed(f"SHADOW_{each.name}", name): np.asarray(each.value, np.float32) for each in buffers}
@@ -118,7 +116,7 @@ def _shader_of(technique: AbstractTechnique, light: AbstractLight) -> ShaderPart
         )
     if technique.map.silhouettes:
         raise ValueError(
-            "map.silhouettes is true, which has no shader; expected false, since shaders compare only stored depths: "
+            "map.silhouettes is true, which has no shader; expected false, because shaders compare only stored depths: "
             "the most similar is a map of more texels"
         )
     layout = technique.layout
@@ -139,7 +137,7 @@ def _shader_of(technique: AbstractTechnique, light: AbstractLight) -> ShaderPart
     if factors is not None and count != len(factors):
         raise ValueError(
             f"the bias has {counted(len(factors), 'factor')}, and the map has {counted(count, 'layer')}; expected one "
-            "for each layer: leave factors out, or give as many"
+            "for each layer: leave factors out, or give this number of factors"
         )
     bias, filter = technique.bias.shader(), technique.filter.shader()
     fixed = technique.map.depth_format != "float32"

@@ -17,7 +17,8 @@ _EVERYWHERE = -1e6
 # The sine of the smallest angle that counts as a corner of the outline within a texel.
 _MIN_TURN = 1e-3
 
-# A texel's corners (row, column), along the walk around it, and whether this follows the sides that begin there.
+# A texel's corners (row, column), along the walk around it, and whether the walk follows the direction of the sides
+# that begin there.
 _CORNERS = np.array([(0, 0), (0, 1), (1, 1), (1, 0)], np.int32)
 _FORWARD = np.array([[True], [True], [False], [False]])
 
@@ -39,9 +40,9 @@ class Contours(NamedTuple):
 
 
 class _Points(NamedTuple):
-    """Where the outline enters or leaves texels, relative to their centres.
+    """The positions where the outline enters or leaves texels, relative to their centres.
 
-    `direction` is 0 if no edge is known. `motion` has value zero, and the derivative of the edge's point.
+    `direction` is 0 if no edge is known. `motion` is zero, with the derivative of the edge's point.
     """
 
     place: Float[Array, "2 t 2"]
@@ -50,7 +51,7 @@ class _Points(NamedTuple):
 
     @classmethod
     def of(cls, crossings: OutlineCrossings, crossing: Int[Array, "4 t"], side: Int[Array, "2 t"]) -> "_Points":
-        """The crossing of each given side, looked up among all; the middle of the side if it has none."""
+        """The crossing of each given side, looked up among all crossings, or the middle of the side if it has none."""
         texels = crossing.shape[1]
         own = take(crossing.reshape(-1), side * texels + jnp.arange(texels, dtype=jnp.int32))
         along, is_level = take(crossings.place, own) - 0.5, (side == BOTTOM) | (side == TOP)
@@ -68,12 +69,12 @@ def find_contours(
 ) -> Contours:
     """The contours of texels with crossings, (t,).
 
-    Along the walk around a texel, casters begin and end. The outline runs from a point where a caster ends to a point
-    where a caster begins, with the caster to its left.
+    Casters begin and end along the walk around a texel. The outline runs from the end of a caster to the start of a
+    caster, with the caster to its left.
     """
     texel = jnp.minimum(crossings.texel, grid.texels - 1)
     layer, row, column = texel // (grid.height * grid.width), texel // grid.width % grid.height, texel % grid.width
-    # Barriers, here and below: otherwise XLA computes an index again in each gather that uses it.
+    # Without the barriers, here and below, XLA computes an index again in each gather that uses it.
     layer, row, column = lax.optimization_barrier((layer, row, column))
     z, own = corners[grid.corner(layer, row + _CORNERS[:, :1], column + _CORNERS[:, 1:])], depth[texel]
     crossing = lax.optimization_barrier(crossings.at)
@@ -82,14 +83,14 @@ def find_contours(
     threshold = lax.stop_gradient(jnp.minimum(near, far) + far) / 2
 
     covered, exists = z < threshold, edge_depth < threshold
-    # The last one stands for none.
+    # The last entry represents no crossing.
     crossing = jnp.where(exists, crossing, crossings.depth.size - 1)
     following = jnp.roll(covered, -1, axis=0)
     place = jnp.where(_FORWARD, crossings.place[crossing], 1 - crossings.place[crossing])
     # A caster narrower than the side, which covers neither of its corners.
     bar = ~covered & ~following & exists[0] & exists[1] & (place[1] < place[0])
     used = jnp.stack([covered & ~following, ~covered & following]) | bar
-    # Whether two pieces of casters in a texel are connected; a caster that misses all corners is.
+    # Whether two pieces of casters in a texel are connected. A caster that misses all corners is connected.
     is_band = ~jnp.any(covered, axis=0) | (own < threshold)
     start, end, has_two = _pair(used[0], used[1], is_band)
     start, end = _Points.of(crossings, crossing[0], start), _Points.of(crossings, crossing[1], end)
@@ -105,14 +106,15 @@ def find_contours(
     is_one = ~(has_two | (bend != 0)) & np.array([[False], [True]])
     planes = jax.tree.map(lambda v, all_: jnp.where(is_one, all_, jnp.where(flipped, -v, v)), planes, everywhere)
 
-    # A caster that misses the centre gets the depth of its deepest crossing: with a nearer one it would shadow itself.
+    # A caster that misses the centre gets the depth of its deepest crossing. With a nearer crossing, it would shadow
+    # itself.
     deepest = jnp.max(jnp.where(used & exists, edge_depth, 0), axis=(0, 1))
     near = jnp.where(own < threshold, own, jnp.where(deepest > 0, deepest, near))
     inner, outer = jnp.where(flipped, far, near), jnp.where(flipped, near, far)
     on_edge = start.on_edge | end.on_edge
     follows = on_edge[0] & (~has_two | on_edge[1])
     planes = jax.tree.map(lambda v: jnp.where(follows, v, lax.stop_gradient(v)), planes)
-    # Where all crossings are hidden, no outline is in sight. The corners' depths then differ as on any slanted surface.
+    # If all crossings are hidden, no outline is visible. The corners' depths then differ as on any slanted surface.
     in_sight = jnp.any(crossings.at < crossings.depth.size - 1, axis=(0, 1))
     return Contours(planes, inner, outer, follows, in_sight & jnp.any(used[0], axis=0))
 
@@ -127,7 +129,7 @@ def _pair(
     number = jnp.arange(4, dtype=jnp.int32)[:, None]
     first = lax.argmax(ends, 0, jnp.int32)
     start = jnp.stack([first, lax.argmax(ends & (number > first), 0, jnp.int32)])
-    # Where the caster that ends there began: on the same side, or on the closest one before it.
+    # The start of the caster that ends there: on the same side, or on the closest side before it.
     steps = jnp.where(begins, (start[:, None] - number) % 4, 4)
     began = lax.argmin(steps, 1, jnp.int32)
     has_two = jnp.sum(ends, axis=0) > 1
@@ -135,7 +137,7 @@ def _pair(
 
 
 def _moved(points: _Points, other: _Points) -> _Points:
-    """The points with their derivatives; a point that is not on an edge moves like the `other` end of its line."""
+    """The points with their derivatives. A point that is not on an edge moves like the `other` end of its line."""
     motion = jnp.where(points.on_edge[..., None], points.motion, other.motion)
     return points._replace(place=points.place + motion)
 

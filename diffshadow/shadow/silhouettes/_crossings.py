@@ -1,4 +1,4 @@
-"""Where the outline crosses the sides of texels."""
+"""The crossings of the outline with the sides of texels."""
 
 from typing import NamedTuple
 
@@ -14,11 +14,11 @@ from ._outline import Outline
 
 # As a fraction of a side; several times the rasterizer's sub-pixel.
 _NEAR_CORNER = 1 / 64
-# Bits for the number of a crossing: with 32 for its place and one for its row, they fit into 63.
+# Bits for the index of a crossing. With 32 for its position and one for its row, they fit into 63.
 _NUMBER_BITS = 30
 
 BOTTOM, RIGHT, TOP, LEFT = range(4)
-"""The sides of a texel, in the order of a walk around it, anticlockwise from its lower left corner."""
+"""The sides of a texel in order, anticlockwise from its lower left corner."""
 
 
 class Grid(NamedTuple):
@@ -40,7 +40,7 @@ class Grid(NamedTuple):
 
 
 class OutlineCrossings(eqx.Module):
-    """Where the outline crosses the sides of texels. Sides are directed upwards or to the right.
+    """The crossings of the outline with the sides of texels. Sides are directed upwards or to the right.
 
     - `texel`: (t,), the number of each texel with crossings; `grid.texels` means none.
     - `at`: (2, 4, t), for each side of these texels, the crossing at which a caster ends, and the crossing at which a
@@ -67,7 +67,7 @@ def find_crossings(outline: Outline, corners: Float[Array, " k"], grid: Grid, ca
     - `corners`: (k,), window depth at the corners of texels. A crossing counts only if its edge is nearer.
     """
     found = grid_crossings(*lax.stop_gradient((outline.start, outline.end)), outline.counts, capacity)
-    # Barriers: otherwise XLA finds and gathers the ends again in each of the many kernels that use them.
+    # Without the barriers, XLA finds and gathers the ends again in each of the many kernels that use them.
     found = lax.optimization_barrier(found)
     start, end, z = outline.start[found.segment], outline.end[found.segment], outline.depth[found.segment]
     start, end, z = lax.optimization_barrier((start, end, z))
@@ -77,8 +77,8 @@ def find_crossings(outline: Outline, corners: Float[Array, " k"], grid: Grid, ca
     rise = lax.stop_gradient(across(end) - across(start))
     fraction = lax.stop_gradient(found.line - across(start)) / jnp.where(rise == 0, 1, rise)
     depth = z[:, 0] + fraction * (z[:, 1] - z[:, 0])
-    # The derivative belongs to the edge's point, which moves off the side. It defines the same line as the crossing,
-    # whose own derivative would be huge where the edge is almost parallel to the side.
+    # The derivative belongs to the edge's point, which moves off the side. It defines the same line as the crossing.
+    # The crossing's own derivative would be huge if the edge is almost parallel to the side.
     point = start + fraction[:, None] * (end - start)
     motion = point - lax.stop_gradient(point)
     position = lax.stop_gradient(along(point))
@@ -86,7 +86,8 @@ def find_crossings(outline: Outline, corners: Float[Array, " k"], grid: Grid, ca
     place = position - own
     on_map = (found.segment >= 0) & (found.line >= 0) & (found.line <= jnp.where(upright, grid.width, grid.height))
     line, layer = jnp.where(on_map, found.line, 0), outline.layer[found.segment]
-    # The caster is to the left of an edge: above it if it runs to the right, and on its left side if it runs upwards.
+    # The caster is to the left of an edge: above an edge that runs to the right, and to the left of an edge that runs
+    # upwards.
     begins = (rise > 0) == upright
 
     # The rasterizer snaps vertices to a grid, so a crossing this close to a corner may belong to the next side.
@@ -99,7 +100,7 @@ def find_crossings(outline: Outline, corners: Float[Array, " k"], grid: Grid, ca
     last = corners[grid.corner(layer, row + jnp.where(upright, 1, 0), column + jnp.where(upright, 0, 1))]
     hides = exists & (depth < jnp.where(begins, first, last))
 
-    # The texel above a side or to its right, and then the one on its other side.
+    # The texel above a side or to its right, followed by the texel on its other side.
     other = jnp.arange(2, dtype=jnp.int32)[:, None]
     y, x = row[:, None] - jnp.where(upright, 0, other), column[:, None] - jnp.where(upright, other, 0)
     inside = exists[:, None] & (x >= 0) & (x < grid.width) & (y >= 0) & (y < grid.height)
@@ -109,7 +110,7 @@ def find_crossings(outline: Outline, corners: Float[Array, " k"], grid: Grid, ca
 
     offset = jnp.stack([place, place - step])
     direction = normalize(end - start)
-    # If samples show a crossing but no edge does, the crossing is put at the side's middle.
+    # If samples show a crossing but no edge does, the crossing is at the side's middle.
     none = jnp.zeros((1, 2), place.dtype)
     return OutlineCrossings(
         texel=texel,
@@ -122,8 +123,8 @@ def find_crossings(outline: Outline, corners: Float[Array, " k"], grid: Grid, ca
 
 
 def _distinct(texel: Int[Array, " t"], texels: int) -> tuple[Int[Array, " t"], Int[Array, " n"]]:
-    """The distinct texels, with `texels` in place of repetitions, and the index of each texel of the map among them, t
-    for a texel that is not."""
+    """The distinct texels, with `texels` for repetitions, and the index of each texel of the map among them, or t for
+    other texels."""
     number = jnp.arange(texel.size, dtype=jnp.int32)
     place = jnp.full(texels + 1, texel.size, jnp.int32).at[texel].min(number).at[texels].set(texel.size)
     return jnp.where(place[texel] == number, texel, texels), place
@@ -139,19 +140,20 @@ def _outermost(
     """`OutlineCrossings.at`, from the texels at `place` on both sides of each crossing, and the side of each that it is
     on.
 
-    A crossing lies on the first of two sides (row 0), and may belong to the other (row 1); there it counts only if none
-    lies on it. Of `count` texels; that number stands for none.
+    A crossing lies on the first of two sides (row 0), and may belong to the other (row 1); there it counts only if no
+    crossing is on it. The result is for `count` texels. The value `count` means no texel.
     """
     crossings = begins.size
     row = jnp.arange(2, dtype=jnp.int32)[:, None]
     number = jnp.arange(2 * crossings, dtype=jnp.int32).reshape(2, crossings)
     bits = lax.bitcast_convert_type(jnp.where(begins, offset, -offset).astype(jnp.float32), jnp.int32)
-    # Ordered as the numbers that the bits stand for.
+    # Sorted like the numbers that the bits represent.
     rank = jnp.where(bits < 0, bits ^ jnp.iinfo(jnp.int32).max, bits)
-    # The walk follows the top and the left side against their direction.
+    # The walk follows the top and the left side in reverse.
     role = (begins == (side < TOP)).astype(jnp.int32)
     with jax.enable_x64(True):
-        # The least of one number for all three: the row, how far out, and which of several at one place.
+        # One number combines all three, and its minimum wins: the row, the distance from the centre, and the index
+        # among crossings at one position.
         not_negative = rank.astype(jnp.int64) + (1 << 31)
         key = (row.astype(jnp.int64) << (32 + _NUMBER_BITS)) | (not_negative << _NUMBER_BITS) | number
         none = jnp.iinfo(jnp.int64).max

@@ -8,10 +8,10 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-# Below this a line counts as parallel to a side.
+# Below this value, a line counts as parallel to a side.
 _PARALLEL = 1e-12
-# Below this the two lines count as parallel, and as the same if they are no further apart. Rounding would otherwise
-# decide which part of each is beyond the other.
+# Below this value, the two lines count as parallel, and as equal if they are no farther apart. Rounding would otherwise
+# decide which part of each line is beyond the other.
 _SAME = 1e-5
 
 
@@ -44,7 +44,7 @@ class HalfPlanes(NamedTuple):
 
 
 def cut_area(rectangle: Rectangle, planes: HalfPlanes) -> Float[Array, "*n"]:
-    """Area of the part of each `rectangle` (n,) that lies in both of its half-planes (2, n).
+    """Area of each `rectangle` (n,) inside both of its half-planes (2, n).
 
     Differentiable with respect to all.
     """
@@ -55,13 +55,14 @@ def cut_area(rectangle: Rectangle, planes: HalfPlanes) -> Float[Array, "*n"]:
 
 @jax.custom_jvp
 def _cut_area(rectangle: Rectangle, planes: HalfPlanes) -> Float[Array, "*n"]:
-    # Barriers, here and below: otherwise XLA puts all into a kernel that gathers too, and does not vectorize it.
+    # Without the barriers, here and below, XLA puts everything into a kernel that also gathers, and does not vectorize
+    # it.
     return lax.optimization_barrier(_area_and_sides(rectangle, planes)[0])
 
 
 @_cut_area.defjvp
 def _cut_area_jvp(primals, tangents):
-    """Reynolds' transport theorem: the area grows by each side's length times its midpoint's speed outwards."""
+    """Reynolds' transport theorem: the area grows by each side's length times its midpoint's outward speed."""
     area, (right, left, above, below), parts = lax.optimization_barrier(_area_and_sides(*primals))
     d, d_planes = tangents
     growth = right * d.right - left * d.left + above * d.above - below * d.below
@@ -80,9 +81,9 @@ def _area_and_sides(rectangle: Rectangle, planes: HalfPlanes) -> tuple[Any, Any,
     """
     x, y = (rectangle.left + rectangle.right) / 2, (rectangle.below + rectangle.above) / 2
     width, height = rectangle.right - rectangle.left, rectangle.above - rectangle.below
-    # Signed distances of the centre, positive inside. A list, since XLA would not fuse stacked arrays.
+    # Signed distances of the centre, positive inside. A list, because XLA would not fuse stacked arrays.
     lines = [(a, b, a * x + b * y - offset) for a, b, offset in zip(*planes, strict=True)]
-    # Each division once, since XLA makes a kernel of it.
+    # Each division occurs once, because XLA makes a kernel of it.
     inverses = [(_inverse(a), _inverse(b)) for a, b, _ in lines]
     sides = []
     for is_upright, sign in ((True, 1), (True, -1), (False, 1), (False, -1)):
@@ -130,7 +131,7 @@ def _inverse(rise: Any, least: float = _PARALLEL) -> Any:
 
 
 def _against(line: Any, start: Any, along: Any) -> tuple[Any, Any]:
-    """How far `start` is inside a half-plane `a x + b y + s >= 0`, and whether its inner side is that to the left of
+    """The distance of `start` inside a half-plane `a x + b y + s >= 0`, and whether its inner side is to the left of
     `along`."""
     a, b, s = line
     return a * start[0] + b * start[1] + s, a * along[1] > b * along[0]

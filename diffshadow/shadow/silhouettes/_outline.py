@@ -10,10 +10,10 @@ from ...raster import Segments, light_sides, silhouettes_by_adjacency
 
 
 class Outline(eqx.Module):
-    """Silhouette edges clipped to the map with a border of one texel; the caster lies to their left.
+    """Silhouette edges clipped to the map with a border of one texel. The caster is to their left.
 
     - `start`, `end`: (n, 2), in texels; `depth`: (n, 2), window depth at both; `layer`: (n,), layer of the map.
-    - `counts`: (n, 2), how many vertical and horizontal texel boundaries each edge crosses.
+    - `counts`: (n, 2), the numbers of vertical and horizontal texel boundaries that each edge crosses.
     """
 
     start: Float[Array, "n 2"]

@@ -2,11 +2,11 @@
 
 Sen, Cammarano & Hanrahan ("Shadow Silhouette Maps", SIGGRAPH 2003) store a point of the silhouette in each texel that
 it passes through. Here the outline is traced by marching squares (Lorensen & Cline 1987), but its crossings with the
-sides of texels come from the silhouette edges and are not interpolated from samples. So the outline is closed, hidden
-folds of a mesh drop out, and hard shadows have sub-texel accuracy. The crossings move with the light and the vertices,
-which gives visibility its derivatives.
+sides of texels come from the silhouette edges and are not interpolated from samples. The outline is therefore closed,
+hidden folds of a mesh drop out, and hard shadows have sub-texel accuracy. The crossings move with the light and the
+vertices, which gives visibility its derivatives.
 
-Two edges that meet within a texel keep their corner. Of a longer chain only the first and the last edge are kept, or
+Two edges that meet within a texel keep their corner. In a longer chain, only the first and the last edge are kept, or
 the chain is cut short. Parts of a caster narrower than a texel are lost if they cross fewer than two of its sides.
 """
 
@@ -72,11 +72,11 @@ class SilhouetteMap(eqx.Module):
         part: Rectangle,
         motion: tuple[Float[Array, "*n"], Float[Array, "*n"]] | None = None,
     ) -> Float[Array, "*n"]:
-        """Area, in square texels, of the `part` of a texel that lies inside both half-planes.
+        """Area, in square texels, of the `part` of a texel inside both half-planes.
 
         `part` is relative to the texel's centre. Half-planes that follow edges are moved by `motion` (texels) if given.
         """
-        # The two apart, since XLA would write a stacked array to memory.
+        # Two separate arrays, because XLA would write a stacked array to memory.
         of_slot = lambda values: [take(one, slot) for one in values]
         x, y, offset = map(of_slot, self.planes)
         if motion is not None:
@@ -101,7 +101,7 @@ def find_silhouettes(
     """
     height, width = depth.shape[-2:]
     grid = Grid(depth.size // (height * width), height, width)
-    # At least 1, since an empty array cannot be indexed.
+    # At least 1, because an empty array cannot be indexed.
     capacity = max(capacity, 1)
     crossings = find_crossings(outline, corners.reshape(-1), grid, capacity)
     found = find_contours(depth.reshape(-1), corners.reshape(-1), crossings, grid)

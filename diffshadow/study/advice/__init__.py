@@ -1,1 +1,1 @@
-"""Advice: a sweep of fits over techniques, their times, and what follows from both."""
+"""Advice: fits of several techniques, their times, and a recommendation."""

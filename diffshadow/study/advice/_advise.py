@@ -44,8 +44,8 @@ _COMPILING = "compiling them once more, to time them,"
 
 
 class _Fitted(NamedTuple):
-    """A fit that succeeded: its place among the techniques, its row of results, and its configuration with what was
-    fitted."""
+    """A successful fit: the index of its technique, its row of results, and its configuration with the fitted
+    values."""
 
     number: int
     row: Mapping[str, Any]
@@ -54,12 +54,12 @@ class _Fitted(NamedTuple):
 
 def run_advise(advice: Advice, *, console: Console, scheduler: str | None = None, workers: int | None = None) -> Path:
     """Fits every technique of `advice` that is not fitted yet, times all of them in turns, prints a ranking and a
-    verdict, and writes a page and the recommended configuration. For an engine, it prints the code to paste at the end.
+    verdict, and writes a page and the recommended configuration. For an engine, it also prints code to paste.
 
-    Fits are done as in `run_sweep`, with the same arguments and errors. All techniques are timed in this process after
-    the last fit, and the times are stored.
+    Arguments and errors of the fits are the same as in `run_sweep`. All techniques are timed in this process after the
+    last fit, and the times are stored.
 
-    **Returns** the folder, `<output>/<name>-advise`, for an engine `<output>/<name>-advise-<engine>`.
+    **Returns** the folder, `<output>/<name>-advise`, or `<output>/<name>-advise-<engine>` for an engine.
 
     **Raises** `ValueError` if no technique can be fitted.
     """
@@ -82,7 +82,7 @@ def run_advise(advice: Advice, *, console: Console, scheduler: str | None = None
         if (busy := busy_remark(measured.load)) is not None:
             problems.append(f"{busy}; to time them again, remove {folder / _MEASURED} and repeat the command")
         candidates = [_candidate(advice, each, time) for each, time in zip(fitted, measured.times, strict=True)]
-        # The same for all techniques, up to the pixels that their maps cover.
+        # The same for all techniques, except for the pixels that their maps cover.
         noise = fitted[0].row["reference_noise_floor"]
         chosen = recommended(candidates, advice.settings.within, noise or 0.0)
         best = next(each.config for each in fitted if each.row["id"] == chosen.id)
@@ -137,7 +137,7 @@ def _suffix(advice: Advice) -> str:
 
 
 def _code(folder: Path, advice: Advice, chosen: Candidate, best: Config) -> dict[str, str]:
-    """Writes the code for the engine that the advice is for, if it is for one. **Returns** it for each light."""
+    """Writes the code for the engine of the advice, if there is one. **Returns** the code for each light."""
     if advice.engine is None:
         return {}
     code = engine_code(advice.engine, best, chosen.filter)
@@ -147,10 +147,10 @@ def _code(folder: Path, advice: Advice, chosen: Candidate, best: Config) -> dict
 
 
 def _at_best(one: _Fitted, others: Sequence[_Fitted]) -> _Fitted:
-    """`one`, or its technique at a special case's values that were fitted better: a fit may end in a local minimum."""
+    """`one`, or its technique with the better values of a special case. A fit may end in a local minimum."""
     loss = one.config.fit.loss
     if not isinstance(loss, Loss) or loss.over != "mean" or loss.false_shadow != loss.false_light:
-        # Fits were not made for the least RMSE.
+        # These fits do not minimise the RMSE.
         return one
     error, best = "after.rmse", one
     for other in others:
@@ -168,7 +168,8 @@ def _values(row: Mapping[str, Any]) -> dict[str, float]:
 
 
 def _measured(folder: Path, fitted: Sequence[_Fitted], progress: Any) -> Measurements:
-    """The times of all techniques, and how busy the machine was, measured now unless they are stored in `folder`."""
+    """The times of all techniques, and the load of the machine. They are measured now unless they are stored in
+    `folder`."""
     ids = [each.row["id"] for each in fitted]
     try:
         stored = Measurements.model_validate(read_json(folder / _MEASURED))
@@ -189,8 +190,8 @@ def _least_biases(
     fitted: Sequence[_Fitted],
     progress: Any,
 ) -> dict[str, tuple[str, LeastBias]]:
-    """For each other bias with a single fitted number, with the same filter and map: how large it has to be for no more
-    acne than `chosen` has. It is searched for now unless it is stored in `folder`."""
+    """For each other bias with a single fitted number, with the same filter and map: the value at which it has no more
+    acne than `chosen`. The value is searched for now unless it is stored in `folder`."""
     known, found = dict(measured.least_biases), {}
     for done, (each, candidate) in enumerate(zip(fitted, candidates, strict=True)):
         progress(done)
@@ -231,7 +232,7 @@ def _candidate(advice: Advice, each: _Fitted, times: Times) -> Candidate:
 
 
 def _over(config: Config) -> str:
-    """What errors are measured over, in words."""
+    """The images that errors are measured over, in words."""
     unseen, seen = len(config.validation), len(config.views)
     count = lambda n: counted(n, "view")
     if unseen:
@@ -240,17 +241,17 @@ def _over(config: Config) -> str:
 
 
 def _marked(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """The candidates by error, with those on the front marked."""
+    """The candidates in order of error. Candidates on the front are marked."""
     kept = {each.id for each in front(candidates)}
     return [each.model_copy(update={"front": each.id in kept}) for each in ranked(candidates)]
 
 
 def _of_times() -> str:
-    """What times in the table are of."""
+    """The meaning of the table's times."""
     processor = versions()["processor"]
     where = f"all cores of {processor}" if jax.default_backend() == "cpu" else str(jax.devices()[0].device_kind)
     return (
-        f"times are for this renderer on {where}, for one view with all its lights, after compiling: they compare "
+        f"times are for this renderer on {where}, for one view with all its lights, after compilation: they compare "
         "techniques, and do not predict the times of an engine"
     )
 

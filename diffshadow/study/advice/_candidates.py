@@ -1,27 +1,26 @@
-"""Candidates: techniques with their errors and times, and which of them to prefer."""
+"""Candidates: techniques with their errors and times, and the choice among them."""
 
 from collections.abc import Sequence
 
 from ..record._sweeps import Candidate
 
 SAME_TIME = 0.05
-"""The fraction by which two times may differ and still count as equal: repeated measurements differ by as much."""
+"""Times count as equal if they differ by at most this fraction, because repeated measurements differ as much."""
 
 
 def same_time(one: Candidate, other: Candidate) -> bool:
-    """Whether the times of two candidates differ by no more than `SAME_TIME`, or by no more than the uncertainty of
-    both."""
+    """Whether the times of two candidates differ by at most `SAME_TIME`, or by at most the uncertainty of both."""
     most = 1 + max(SAME_TIME, one.spread + other.spread)
     return 1 / most <= one.ratio / other.ratio <= most
 
 
 def ranked(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """The candidates in order of error; if errors are equal, the fastest first."""
+    """The candidates in order of error. Candidates of equal error are in order of time."""
     return sorted(candidates, key=lambda each: (each.rmse, each.ratio))
 
 
 def front(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """The Pareto front, from fast to slow: no other candidate is faster with as small an error. Equal candidates are
+    """The Pareto front, from fast to slow: no other candidate is faster with an error as small. Equal candidates are
     all on the front.
     """
     beats = lambda a, b: a.rmse <= b.rmse and a.ratio <= b.ratio and (a.rmse < b.rmse or a.ratio < b.ratio)
@@ -30,10 +29,10 @@ def front(candidates: Sequence[Candidate]) -> list[Candidate]:
 
 
 def recommended(candidates: Sequence[Candidate], within: float, noise: float = 0.0) -> Candidate:
-    """The fastest candidate whose RMSE exceeds the least by at most the fraction `within` of it, or by the reference's
-    `noise`.
+    """The fastest candidate whose RMSE exceeds the lowest RMSE by at most the fraction `within`, or by at most the
+    reference's `noise`.
 
-    Among candidates that take the same time, it is the one with the least error, or the fastest if errors differ only
+    Among candidates that take the same time, it is the one with the lowest error, or the fastest if errors differ only
     by noise.
     """
     least = min(each.rmse for each in candidates)
@@ -45,5 +44,5 @@ def recommended(candidates: Sequence[Candidate], within: float, noise: float = 0
 
 
 def tolerated(least: float, within: float, noise: float) -> float:
-    """By how much an RMSE may exceed the least and still count as good."""
+    """The amount by which an RMSE may exceed the lowest and still count as good."""
     return max(least * within, noise)

@@ -1,4 +1,4 @@
-"""Rules of thumb for biases: what to type where nothing is fitted."""
+"""Rules of thumb for biases that are not fitted."""
 
 import difflib
 from collections.abc import Mapping, Sequence
@@ -20,7 +20,7 @@ from ..pages import _table as table
 from ..runs._formula_engines import FORMULA_ENGINES, beside, lines_of
 
 _KERNELS: Mapping[str, type[filters.Filter]] = {each.type: each for each in rules.RULED}
-# The filter of each engine that its rule was measured with.
+# The filter of each engine for which its rule was measured.
 _MEASURED: Mapping[EngineName, str] = {
     "three.js": "PCFShadowMap",
     "babylon.js": "FILTER_PCF, QUALITY_HIGH",
@@ -32,11 +32,11 @@ _MEASURED: Mapping[EngineName, str] = {
     "godot_compatibility": "Soft Low",
 }
 _IN_METRES = "for scenes whose unit is a metre; under a sun, the width of a texel follows the view camera"
-_THERE_ONLY = "at other distances, only settings that grow with the distance, as texels do, stay valid"
-# What the engines do beside the bias, and did where the rules were measured.
+_THERE_ONLY = "at other distances, only settings that grow with the distance, like texels, stay valid"
+# Other properties of the engines' biases, in the version for which the rules were measured.
 _BESIDES: Mapping[EngineName, str] = {
     "three.js": "back faces cast, as by default (material.shadowSide)",
-    "playcanvas": "shadowBias also grows with the slope of what casts",
+    "playcanvas": "shadowBias also grows with the slope of the caster",
     **{name: f"beside {beside(name)}" for name in POLYGON_OFFSETS},
 }
 
@@ -49,8 +49,8 @@ _EXAMPLES: Mapping[LightKind, str] = {
 
 
 class _Usual(NamedTuple):
-    """What an engine has where nobody sets anything: a map's side in texels, how wide and deep it is in world units,
-    and why."""
+    """An engine's default map: its side in texels, its width and depth in world units, and the reason for these
+    values."""
 
     size: int
     window: float
@@ -58,7 +58,8 @@ class _Usual(NamedTuple):
     why: str
 
 
-# The width and depth of the sphere about what a camera sees that is 16 : 9 and 50 degrees high, per unit of depth.
+# The width and depth of a bounding sphere per unit of depth. It bounds the view of a 16 : 9 camera with a vertical
+# angle of 50 degrees.
 _VIEW = 1.07
 _FIRST = "the first cascade, which follows the view camera: here 16 : 9 and 50 degrees high"
 _USUAL: Mapping[EngineName, _Usual] = {
@@ -68,11 +69,11 @@ _USUAL: Mapping[EngineName, _Usual] = {
     "bevy": _Usual(2048, 2 * _VIEW * 10, 2 * _VIEW * 10, f"{_FIRST}, up to 10"),
     "filament": _Usual(1024, 2 * _VIEW * 50, 2 * _VIEW * 50, "one cascade for a view that is 50 units deep"),
     "unity": _Usual(1024, 2 * _VIEW * 6, 2 * _VIEW * 6, f"a quarter of 2048; {_FIRST}, up to an eighth of 50"),
-    "playcanvas": _Usual(1024, 2 * _VIEW * 40, 2 * _VIEW * 40, "one map for what the view camera sees up to 40"),
+    "playcanvas": _Usual(1024, 2 * _VIEW * 40, 2 * _VIEW * 40, "one map for the view camera's view, up to 40"),
     "godot_compatibility": _Usual(2048, 2 * _VIEW * 10, 2 * _VIEW * 10 + 20, f"a quarter of 4096; {_FIRST}, up to 10"),
 }
 
-# The options that the map of each kind of light needs, and the most that each may be.
+# The options for the map of each kind of light, and their maximum values.
 _NEEDED: Mapping[LightKind, Sequence[str]] = {
     "directional": ("map", "window", "depth"),
     "spot": ("map", "angle", "near", "depth", "distance"),
@@ -84,11 +85,11 @@ _MOST = {"map": MAX_TEXELS, "angle": 89.0}
 class LightOptions(NamedTuple):
     """An engine's light and its map.
 
-    - `map`: its side in texels; `window`: how wide the map of a directional light is, in world units.
-    - `depth`: the map's far plane less its near plane, in world units.
+    - `map`: its side in texels; `window`: the width of a directional light's map, in world units.
+    - `depth`: the distance between the map's near and far planes, in world units.
     - `angle`: half the angle of a spot light's cone, in degrees.
-    - `near`: the near plane of a spot or point light; `distance`: the distance from the light at which settings are
-        valid; in world units.
+    - `near`: the near plane of a spot or point light. `distance`: the distance from the light at which settings are
+      valid. Both in world units.
     """
 
     light: LightKind = "directional"
@@ -101,11 +102,11 @@ class LightOptions(NamedTuple):
 
     @property
     def given(self) -> dict[str, float | None]:
-        """All options but the kind of light."""
+        """All options except the kind of light."""
         return {name: value for name, value in self._asdict().items() if name != "light"}
 
     def completed(self, engine: EngineName) -> "LightOptions":
-        """The options with the engine's values for a directional light in place of options that are left out."""
+        """The options of a directional light, with the engine's values for missing options."""
         if self.light != "directional":
             return self
         usual = _USUAL[engine]
@@ -117,7 +118,7 @@ class LightOptions(NamedTuple):
         )
 
     def check(self, engine: EngineName) -> None:
-        """**Raises** `ValueError` for options that are missing, belong to another light, or are out of their range."""
+        """**Raises** `ValueError` for options that are missing, belong to another light, or are out of range."""
         needed, given, example = _NEEDED[self.light], self.given, _EXAMPLES[self.light]
         missing = [f"--{name}" for name in needed if given[name] is None]
         if missing:
@@ -130,7 +131,9 @@ class LightOptions(NamedTuple):
             if value is None:
                 continue
             if name not in needed:
-                raise ValueError(f"--{name} is given for a {self.light} light, which has none; leave it out")
+                raise ValueError(
+                    f"--{name} is given for a {self.light} light, which does not have this option; leave it out"
+                )
             most = _MOST.get(name, FARTHEST)
             if not 0 < value <= most:
                 raise ValueError(
@@ -158,16 +161,16 @@ def print_defaults(
     engine: EngineName | None = None,
     of_map: LightOptions | None = None,
 ) -> None:
-    """Prints biases that work in many scenes, and how much more error than a fit they have.
+    """Prints biases that work in many scenes, and their error compared with a fit.
 
     **Arguments:**
 
     - `filter`, `radius`: a filter's type and its radius in texels. The filter's bias is printed as a part of a
-        configuration.
-    - `engine`: an engine whose settings are printed instead, for its default filter.
-    - `of_map`: the engine's light and map; by default the engine's own directional light.
+      configuration.
+    - `engine`: an engine. Its settings are printed instead, for its default filter.
+    - `of_map`: the engine's light and map; by default the engine's directional light.
 
-    **Raises** `ValueError` for a filter without a rule, and for options that do not go together.
+    **Raises** `ValueError` for a filter without a rule, and for incompatible options.
     """
     of_map = LightOptions() if of_map is None else of_map
     if engine is None:
@@ -193,7 +196,7 @@ def print_defaults(
 def _refuse(needed: str, of: str, given: Mapping[str, float | None]) -> None:
     names = [f"--{name}" for name, value in given.items() if value is not None]
     if names:
-        raise ValueError(f"{names[0]} is given without --{needed}; expected both, since it belongs to {of}")
+        raise ValueError(f"{names[0]} is given without --{needed}; expected both, because it belongs to {of}")
 
 
 # --- Filters ---
@@ -212,15 +215,15 @@ def _print_all(console: Console) -> None:
         console,
         [
             "a configuration without a bias uses the rule for its filter; between two radii, rules are interpolated; "
-            f"the constant is at most {rules.PART:.0%} of a typical caster's width, or of the kernel's width",
+            f"the constant is at most {rules.PART:.0%} of a typical caster's width or of the kernel's width",
             f"for any filter that reaches r texels: constant {rules.CONSTANT:g} + {rules.CONSTANT_PER_TEXEL:g} r, "
             f"slope {rules.SLOPE:g} + {rules.SLOPE_PER_TEXEL:g} r; {_sentence(rules.FORMULA_WORTH)}",
             f"with a bias from the receiver's plane: constant {rules.PLANE_CONSTANT:g} (1 + r); "
             f"{_sentence(rules.PLANE_WORTH)}",
             f"price: the error divided by the error of the best bias for the scene, the mean over {rules.SCENES} "
-            "scenes; each kind of scene was left out of the search for the rule that it tests; own price: the same, in "
-            "the scenes in which the rule was searched; acne, leaks: the share of scenes where more than a thousandth "
-            "of the light is wrongly missing, or wrongly present",
+            "scenes; each rule was tested on kinds of scenes that its search left out; own price: the price in the "
+            "scenes of the search; acne, leaks: the share of scenes where more than a thousandth of the light is "
+            "missing, or too much",
             "for a filter: diffshadow defaults --filter random_disk --radius 3",
             f"for an engine: {_EXAMPLES['directional']}",
         ],
@@ -234,7 +237,9 @@ def _print_filter(name: str, radius: float | None, console: Console) -> None:
         raise ValueError(f"--filter is {name}, which has no rule; expected {', '.join(_KERNELS)}; {mend}")
     kind = _KERNELS[name]
     if radius is not None and "radius" not in kind.each():
-        raise ValueError(f"--radius is given with {name}, which has none; expected a filter that has one; leave it out")
+        raise ValueError(
+            f"--radius is given with {name}, which has no radius; expected a filter with a radius; leave it out"
+        )
     if radius is not None and not 0 <= radius <= rules.MAX_REACH:
         raise ValueError(
             f"--radius is {radius:g}; expected 0 to {rules.MAX_REACH:g} texels, where the rule was measured; change it"
@@ -283,7 +288,7 @@ def _print_engine(engine: EngineName, of_map: LightOptions, console: Console) ->
     )
 
 
-# The lines that set the map of an engine and its filter, of a map with {size} texels a side.
+# The lines that set an engine's map and filter, for a map with {size} texels per side.
 _SET_UP: Mapping[EngineName, Sequence[str]] = {
     "three.js": ("light.shadow.mapSize.set({size}, {size});",),
     "babylon.js": (

@@ -1,4 +1,4 @@
-"""Advice for one engine: which techniques it has, as a section `advise`, and the code to paste."""
+"""Advice for one engine: its techniques as a section `advise`, and code to paste."""
 
 import json
 import os
@@ -39,19 +39,19 @@ def engine_advice(
     console: Console,
     progress: CheckProgress | None = None,
 ) -> Advice:
-    """The fits of a recommendation among the techniques of `engine`; otherwise like `load_advice`.
+    """The fits of a recommendation among the techniques of `engine`. Like `load_advice` otherwise.
 
     Engines whose shadows this package draws are fitted in their own units. Other engines are fitted as shadow maps with
-    the engine's kernels and profile of the normal offset, and the result is converted. The scene is drawn first, since
-    an engine's units depend on it. The same faces cast as in the configuration.
+    the engine's kernels and profile of the normal offset, and the result is converted. The scene is drawn first,
+    because an engine's units depend on it. The casting faces stay as in the configuration.
 
     **Arguments:**
 
     - `path`, `overrides`: as in `load_config`.
-    - `console`: where progress is shown.
+    - `console`: the console for progress.
     - `progress`: called while fits are checked.
 
-    **Raises** `ConfigError` for a configuration that the engine cannot draw, and what `load_advice` raises.
+    **Raises** `ConfigError` for a configuration that the engine cannot draw, and the errors of `load_advice`.
     """
     config = load_config(path, overrides)
     _check(config, engine)
@@ -72,25 +72,25 @@ def engine_advice(
 
 
 def _least_size(config: Config) -> tuple[int, int]:
-    """The size of the smallest map that is fitted."""
+    """The side of the smallest map that is fitted."""
     given = None if config.advise is None else config.advise.resolutions
     height, width = config.shadow_map.resolution
     return min(given, key=min) if given else (max(height // 2, 1), max(width // 2, 1))
 
 
 def _check(config: Config, engine: EngineName) -> None:
-    """**Raises** `ConfigError` for lists of techniques, and for a technique that is no single map."""
+    """**Raises** `ConfigError` for lists of techniques, and for techniques other than a single map."""
     for name in _LISTS:
         if config.advise is not None and name in config.advise.model_fields_set:
             what = f"is given, and --engine {engine} has its own; expected one of them; override advise.{name}=null"
             raise _mistake(config, ("advise", name), what)
     if not isinstance(config.technique, SingleMap | Engine):
-        what = f"is {config.technique.type}; expected shadow_map or an engine's, since one map is fitted for {engine}"
+        what = f"is {config.technique.type}; expected a single map for {engine}: shadow_map or an engine's technique"
         raise _mistake(config, ("technique", "type"), f"{what}; override technique.type=shadow_map")
 
 
 def is_drawn(engine: EngineName, config: Config) -> bool:
-    """Whether the shadows of `engine` are drawn here, under the lights of `config`."""
+    """Whether this package draws the shadows of `engine` under the lights of `config`."""
     if engine not in ENGINE_TECHNIQUES:
         return False
     kinds = {light.type for light in config.scene.each_light.values()}
@@ -100,7 +100,7 @@ def is_drawn(engine: EngineName, config: Config) -> bool:
 def _exact(
     engine: EngineName, config: Config, lit: Sequence[Lit]
 ) -> tuple[Mapping[str, Any], dict[str, list[dict[str, Any]]]]:
-    """The technique, and the lists of biases and filters, of an engine whose shadows are drawn exactly."""
+    """The technique, and the lists of biases and filters, of an engine whose shadows this package draws exactly."""
     settings = ENGINE_TECHNIQUES[engine].settings
     kinds = settings.point_filters if any(each.is_point for each in lit) else settings.filters
     made = {kind: engine_fit(engine, config, lit, kind) for kind in kinds}
@@ -142,13 +142,13 @@ def engine_code(engine: EngineName, config: Config, filter_label: str) -> dict[s
 
 
 def code_file(engine: EngineName) -> str:
-    """The file in a recommendation's folder that holds the code."""
+    """The name of the file with the code, in a recommendation's folder."""
     known = FORMULA_ENGINES.get(engine)
     return suffixed(ENGINE_TECHNIQUES[engine].settings.suffix if known is None else known.suffix)
 
 
 def title_of(engine: EngineName) -> str:
-    """What the code is, in words."""
+    """A description of the code."""
     return f"{code_file(engine)}, for {ENGINES[engine]}"
 
 

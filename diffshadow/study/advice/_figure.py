@@ -10,9 +10,9 @@ from ._candidates import Candidate, front
 
 
 def draw_front(candidates: Sequence[Candidate], chosen: Candidate) -> Any:
-    """Errors against times on logarithmic scales: a colour for each bias, a marker for each filter and size of map.
+    """Errors against times on logarithmic scales. Each bias has a colour, and each filter and size of map has a marker.
 
-    The line joins the candidates that no other candidate beats in both. A ring marks the recommended one.
+    The line joins the candidates that no other candidate beats in both. A ring marks the recommended candidate.
     """
     figure, (axes,) = style.figure(7.2, 4.2)
     style.chart(axes, "time of a view, relative to the fastest", "RMSE [visibility]")

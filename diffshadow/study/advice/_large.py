@@ -1,4 +1,4 @@
-"""What asks for a recommended bias that is far larger than usual, and what a usual one costs."""
+"""The reason for a recommended bias that is far larger than usual, and the cost of a usual bias."""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -19,21 +19,22 @@ from ..runs._progress import Progress
 from ..runs._setup import visibility_of
 from ._measure import judged
 
-# People set biases of one to three texels. Above the other number, a value is remarked on.
+# Usual biases are one to three texels. A value above the second number causes a remark.
 _USUAL, _LARGE = 3.0, 6.0
 _OF_MAPS, _OF_ENGINES = ("bias.constant", "bias.normal_offset"), "technique.bias"
-# The light that a pixel has to lose to count as darker.
+# A pixel counts as darker if it loses this much of its light.
 _DARKER = 0.1
-# Visibility from which a pixel of a reference is lit.
+# A pixel of a reference is lit from this visibility on.
 _LIT = 1 - 1e-6
 
 
 class _Asking(NamedTuple):
-    """What asks for a bias: pixels that are lit and that a smaller bias darkens.
+    """The pixels that need a large bias: they are lit, and a smaller bias darkens them.
 
-    - `darker`, `lit`: how many are darker, of how many; `mesh`: the index of the mesh with most of them.
-    - `share`: the part of the lost light that this mesh loses; `degrees`: the median angle between its darker surfaces
-        and the light.
+    - `darker`, `lit`: the numbers of darker and of lit pixels; `mesh`: the index of the mesh with most of the darker
+      pixels.
+    - `share`: this mesh's fraction of the lost light; `degrees`: the median angle between its darker surfaces and the
+      light.
     """
 
     darker: int
@@ -44,7 +45,8 @@ class _Asking(NamedTuple):
 
 
 def large_biases(config: Config, noise: float) -> Iterator[str]:
-    """A sentence for each bias of the fitted `config` that is far larger than usual; `noise` is the reference's."""
+    """A sentence for each bias of the fitted `config` that is far larger than usual. `noise` is the reference's
+    noise."""
     for name in (*_OF_MAPS, _OF_ENGINES):
         if name in config.fit.parameters and (one := _of_a_texel(config, name)):
             value = config.initial(name)
@@ -53,7 +55,7 @@ def large_biases(config: Config, noise: float) -> Iterator[str]:
 
 
 def _of_a_texel(config: Config, name: str) -> float | None:
-    """The value of a bias of one texel; none if that is not known."""
+    """The value of a bias of one texel. `None` if that is unknown."""
     if name != _OF_ENGINES and (name == "bias.normal_offset" or config.bias.unit == "texels"):
         return 1.0
     lit = lit_by(config.views[0].config if config.views else config, Progress.quiet())
@@ -82,9 +84,9 @@ def _explained(config: Config, name: str, value: float, one: float, noise: float
         f"{table.number('_rate', fitted['false_light_rate'])}."
     )
     if usual["rmse"] <= fitted["rmse"]:
-        return f"{says} That is no worse, so take {texels}."
+        return f"{says} That is no worse, so use {texels}."
     if usual["rmse"] <= fitted["rmse"] + noise:
-        return f"{says} That is as good within the reference's noise of {noise:.4f}, so take {texels}."
+        return f"{says} That is as good within the reference's noise of {noise:.4f}, so use {texels}."
     asking = _asking(drawn, as_fitted, as_usual)
     if asking is None:
         return says
@@ -95,12 +97,13 @@ def _explained(config: Config, name: str, value: float, one: float, noise: float
     return (
         f"{says} {counted(asking.darker, 'pixel')} of {asking.lit:,} in light {asks} a larger bias: with the usual "
         f"one, each would lose more than a tenth of its light, {asking.share:.0%} of it on "
-        f"scene.meshes.{asking.mesh} ({path}), where the light meets surfaces at {asking.degrees:.0f}° (median){width}."
+        f"scene.meshes.{asking.mesh} ({path}), where the angle between the light and surfaces is "
+        f"{asking.degrees:.0f}° (median){width}."
     )
 
 
 def _asking(drawn: list[Drawn], as_fitted: list[HostArray], as_usual: list[HostArray]) -> _Asking | None:
-    """The pixels in light that are darker under the usual bias than under the fitted one; none if there are none."""
+    """The lit pixels that are darker under the usual bias than under the fitted bias. `None` if there are none."""
     lit = [each.mask & (np.asarray(each.reference.visibility) >= _LIT) for each in drawn]
     lost = [np.where(at, a - b, 0.0) for at, a, b in zip(lit, as_fitted, as_usual, strict=True)]
     darker = [each > _DARKER for each in lost]
@@ -128,7 +131,7 @@ def _mesh_of(drawn: Drawn) -> HostArray:
 
 
 def _degrees(drawn: Drawn, at: Bool[HostArray, "h w"]) -> Float[HostArray, " n"]:
-    """The angles between the light and the surfaces at some pixels: 0 where it grazes them."""
+    """The angles between the light and the surfaces at some pixels; 0 at grazing incidence."""
     light: Any = drawn.scene.light
     normal, point = (np.asarray(each, np.float64)[at] for each in (drawn.surface.normal, drawn.surface.position))
     towards = np.asarray(light.direction, np.float64) if light.is_directional else np.asarray(light.position) - point

@@ -21,23 +21,24 @@ from ..runs._setup import load, visibility_of
 from ..runs._views import Views, draw_views
 from ._times import Watch, times_of, unevenness_of
 
-# Rounds in which every technique is timed once, in turns: what slows the machine down slows all of them.
+# Every technique is timed once in each round, so a slow phase of the machine affects all of them.
 _ROUNDS = 15
 # The biases of engines' techniques.
 _OF_ENGINES = {f"technique.{key}" for each in ENGINE_TECHNIQUES.values() for key in each.settings.biases}
-# A bias is searched for at these many equal steps, then by halving the step where it is found: to a thousandth in all.
+# A bias is searched for at this many equal steps, and then by bisection of the step that contains it. The final
+# accuracy is a thousandth.
 _STEPS, _HALVINGS = 8, 7
 
 
 def measure_times(
     configs: Sequence[Config], progress: Callable[[int], None] = lambda done: None
 ) -> tuple[list[Times], Load]:
-    """Times the techniques of `configs`, which differ in nothing else, on the first view, after compiling.
+    """Times the techniques of `configs`, which differ in nothing else, on the first view, after compilation.
 
-    They are timed one after another in rounds, every other round backwards. The camera's surface, which no technique
-    changes, is not counted. `progress` is called with the number of steps done, of `steps_of(configs)`.
+    They are timed one after another in rounds. Every second round runs backwards. The camera's surface, which is the
+    same for all, is not counted. `progress` is called with the number of finished steps, of `steps_of(configs)`.
 
-    **Returns** the times, and how busy the machine was.
+    **Returns** the times, and the load of the machine.
     """
     first = configs[0].views[0].config if configs[0].views else configs[0]
     scene = load(first, Progress.quiet()).scene
@@ -72,12 +73,12 @@ def steps_of(configs: Sequence[Config]) -> int:
 
 
 def _program_of(technique: Any) -> Hashable:
-    """What the compiled programs of a technique depend on: all but its numbers."""
+    """The part of a technique that its compiled programs depend on: everything except its numbers."""
     return jax.tree.structure(technique), tuple((leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(technique))
 
 
 def judged(config: Config) -> tuple[Any, list[Drawn]]:
-    """The technique of a fitted `config`, and the scenes that judge it: the validation views, or else all views."""
+    """The technique of a fitted `config`, and its test scenes: the validation views, or all views if there are none."""
     technique, views = _drawn(config)
     return technique, [each for view in views.validation or views.fitted for each in view.drawn]
 
@@ -88,7 +89,7 @@ def _drawn(config: Config) -> tuple[Any, Views]:
 
 
 def unexplained_by(config: Config) -> list[str]:
-    """The first sentence on a fitted technique that does not explain its references; empty if it explains them."""
+    """The first sentence about a fitted technique that does not explain its references, or an empty text."""
     technique, views = _drawn(config)
     drawn = views.drawn[: views.seen]
     found = unexplained(fitted_images(views, drawn, [visibility_of(technique, each) for each in drawn], drawn))
@@ -99,15 +100,15 @@ def unexplained_by(config: Config) -> list[str]:
 
 
 def least_bias_for(config: Config, name: str, most: float) -> LeastBias:
-    """How large the bias `name` has to be for a rate of false shadow of at most `most`, up to its bound.
+    """The smallest value of the bias `name` with a rate of false shadow of at most `most`, up to its bound.
 
-    It is searched for, away from 0, from the value in `config`, by steps and then by bisection. All other numbers stay
-    the same. A larger bias may have more false shadow, as a large normal offset has. Errors are over the validation, or
-    over what the fit sees if there is none.
+    The search starts at the value in `config` and moves away from 0, first by steps and then by bisection. All other
+    numbers stay the same. The rate may rise again, because a large normal offset causes false shadow. Errors are over
+    the validation, or over the fitted views if there is none.
 
     **Arguments:**
 
-    - `config`: configuration of the fitted technique.
+    - `config`: the configuration of the fitted technique.
     - `name`: a number of the bias, such as `"bias.constant"`.
     """
     technique, drawn = judged(config)
@@ -142,6 +143,6 @@ def least_bias_for(config: Config, name: str, most: float) -> LeastBias:
 
 
 def single_bias(values: Mapping[str, float]) -> str | None:
-    """The only number of a bias among fitted `values`; `None` if there are several or none."""
+    """The only number of a bias among fitted `values`, or `None` if there are several or none."""
     names = [name for name in values if name.startswith("bias.") or name in _OF_ENGINES]
     return names[0] if len(names) == 1 else None

@@ -1,4 +1,5 @@
-"""The user's own scene on the page of advice for an engine: its defaults, what is recommended, and the truth."""
+"""The pictures of the user's scene on the page of advice for an engine: its defaults, the recommendation, and the
+truth."""
 
 import dataclasses
 from pathlib import Path
@@ -24,7 +25,7 @@ DEFAULTS, RECOMMENDED, TRUTH = "the engine's defaults", "recommended", "ray-trac
 def store_pictures(folder: Path, best: Config) -> None:
     """Draws the first view's first light with the engine's defaults and with `best`, and stores both in `folder`.
 
-    An engine that is converted by formulas has no picture of its defaults.
+    Engines whose settings are converted by formulas have no picture of their defaults.
     """
     technique, every = judged(best)
     drawn = every[0]
@@ -42,7 +43,7 @@ def store_pictures(folder: Path, best: Config) -> None:
 
 
 def _with_defaults(technique: shadow.AbstractEngineShadows) -> shadow.AbstractEngineShadows:
-    """`technique` with the engine's own filter and numbers; its maps, and what casts, stay."""
+    """`technique` with the engine's filter and numbers. Its maps and its casting faces do not change."""
     settings = technique.settings
     changed: dict[str, Any] = {
         key: each.default
@@ -53,7 +54,7 @@ def _with_defaults(technique: shadow.AbstractEngineShadows) -> shadow.AbstractEn
 
 
 def scene_pictures(folder: Path) -> list[Picture]:
-    """The stored pictures, for a page; none if there are none."""
+    """The stored pictures for a page. Empty if there are none."""
     if not (folder / FILE).is_file():
         return []
     with np.load(folder / FILE) as stored:

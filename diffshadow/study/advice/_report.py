@@ -1,4 +1,4 @@
-"""The page of a recommendation, made of its folder's files."""
+"""The page of a recommendation, made from the files in its folder."""
 
 from pathlib import Path
 

@@ -6,16 +6,17 @@ from typing import Any
 
 from ...config import Config, with_fitted
 
-# What says nothing of the technique.
+# Keys that do not describe the technique.
 _ASIDE = {"name", "output", "sweep", "advise", "fit"}
 
 
 def as_special_case(config: Config, other: Config) -> dict[str, float] | None:
-    """The values of the fitted numbers of `config` at which its technique equals `other`'s, which fits fewer of them.
+    """The values of the fitted numbers of `config` at which its technique equals the technique of `other`, which fits
+    fewer numbers.
 
-    A bias of a constant and a slope, for example, is the constant bias where the slope is 0.
+    For example, a bias of a constant and a slope is the constant bias if the slope is 0.
 
-    **Returns** none if there are no such values within the bounds.
+    **Returns** `None` if there are no such values within the bounds.
     """
     if not other.fit.parameters.keys() < config.fit.parameters.keys():
         return None
@@ -25,7 +26,7 @@ def as_special_case(config: Config, other: Config) -> dict[str, float] | None:
         if not isinstance(value, int | float):
             return None
         values[name] = float(value)
-    # Values beyond the bounds are moved to them, which makes another technique.
+    # Values beyond the bounds would be clipped, which changes the technique.
     return values if _technique(with_fitted(config, values)) == data else None
 
 

@@ -1,4 +1,4 @@
-"""Times of techniques from rounds in which all are timed in turns, and how busy the machine was meanwhile."""
+"""Times of techniques, from rounds that time each technique once, and the load of the machine."""
 
 import math
 import os
@@ -13,16 +13,17 @@ from scipy.stats import binom
 from ..._types import HostArray
 from ..record._sweeps import Load, Times
 
-# The probability that the interval about a median misses the true one.
+# The probability that the interval around a median misses the true median.
 _MISSED = 0.05
-# A machine is busy if other processes use more than this part of its processors.
+# A machine is busy if other processes use more than this fraction of its processors.
 _OTHERS = 0.15
-# It is also busy if the middle half of the rounds differ by more than this part of their median, to either side.
+# It is also busy if the middle half of the rounds differ by more than this fraction of their median, in either
+# direction.
 _UNEVEN = 0.1
 
 
 def busy_remark(load: Load) -> str | None:
-    """A sentence for a machine that was busy; `None` for an idle one."""
+    """A sentence about a busy machine, or `None`."""
     others = load.others or 0.0
     if others <= _OTHERS and load.unevenness <= _UNEVEN:
         return None
@@ -35,14 +36,14 @@ def busy_remark(load: Load) -> str | None:
 def times_of(rounds: Float[HostArray, "rounds techniques 2"], programs: Sequence[Hashable]) -> list[Times]:
     """The times of techniques.
 
-    Each technique's time is divided by the geometric mean of all in its round, since what slows the machine down slows
-    all of them. Ratios and milliseconds are the medians of these quotients, so milliseconds have the same ratios.
+    Each technique's time is divided by the geometric mean of all times in its round, because a slow phase of the
+    machine affects all of them. Ratios and milliseconds are medians of these quotients, so milliseconds have the same
+    ratios.
 
     **Arguments:**
 
     - `rounds`: (rounds, techniques, 2), seconds for the map and for the look-up.
-    - `programs`: (techniques,), what each technique's program depends on. Techniques with equal programs share their
-        times.
+    - `programs`: (techniques,), keys of the techniques' programs. Techniques with equal programs share their times.
     """
     members = {program: [i for i, other in enumerate(programs) if other == program] for program in programs}
     totals = {program: np.median(rounds[:, among].sum(axis=2), axis=1) for program, among in members.items()}
@@ -66,12 +67,12 @@ def unevenness_of(rounds: Float[HostArray, "rounds techniques 2"]) -> float:
 
 
 def _pace(totals: Sequence[Float[HostArray, " rounds"]]) -> Float[HostArray, " rounds"]:
-    """The geometric mean of the times of each round."""
+    """The geometric mean of each round's times."""
     return np.exp(np.mean(np.log(totals), axis=0))
 
 
 def _median(samples: Float[HostArray, " rounds"]) -> tuple[float, float]:
-    """The median, and half the width of its interval by order statistics as a fraction of it."""
+    """The median, and half the width of its order-statistics interval as a fraction of it."""
     ordered, count = np.sort(samples), len(samples)
     rank = max(int(binom.ppf(_MISSED / 2, count, 0.5)) - 1, 0)
     middle = float(np.median(ordered))
@@ -79,14 +80,14 @@ def _median(samples: Float[HostArray, " rounds"]) -> tuple[float, float]:
 
 
 class Watch:
-    """Measures from its start on what other processes use of the machine's processors."""
+    """Measures the use of the machine's processors by other processes, from its creation on."""
 
     def __init__(self) -> None:
         self._began = time.perf_counter()
         self._own, self._all = _own_seconds(), _busy_seconds()
 
     def others(self) -> float | None:
-        """The part of all processors' time that other processes used; `None` if the system does not report it."""
+        """The fraction of all processors' time that other processes used. `None` if the system does not report it."""
         busy = _busy_seconds()
         if busy is None or self._all is None:
             return None
@@ -100,7 +101,7 @@ def _own_seconds() -> float:
 
 
 def _busy_seconds() -> float | None:
-    """The time that all processors together were busy since the system started, by Linux' /proc/stat."""
+    """The busy time of all processors since the system started, from Linux' /proc/stat."""
     try:
         kind, *ticks = Path("/proc/stat").read_text().split("\n", 1)[0].split()
         # user, nice, system, idle, iowait, irq, softirq, steal

@@ -1,4 +1,4 @@
-"""The verdict in words. Each sentence has its figures, and none claims a difference that may be noise."""
+"""The verdict in words. Each sentence has its figures. No sentence claims a difference that may be noise."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
@@ -8,23 +8,23 @@ import jax
 from ..record._sweeps import Candidate, LeastBias
 from ._candidates import front, ranked, same_time, tolerated
 
-# The least difference of rates that is called one: 26 pixels of 512 × 512. The reference's noise hardly touches rates,
-# since they count only pixels that all of its rays see alike.
+# The smallest difference of rates that counts: 26 pixels of 512 × 512. The reference's noise hardly affects rates,
+# because they only count pixels where all of its rays agree.
 _SAME_RATE = 1e-4
-# Above this fraction of the least RMSE, the reference's noise hides differences that matter.
+# Above this fraction of the lowest RMSE, the reference's noise hides differences that matter.
 _NOISY = 0.1
 
 
 class Findings(NamedTuple):
-    """What a verdict is about.
+    """The subject of a verdict.
 
-    - `candidates`: all candidates; `chosen`: the recommended candidate; `within`: by which fraction its error may
-        exceed the least.
+    - `candidates`: all candidates; `chosen`: the recommended candidate; `within`: the fraction by which its error may
+      exceed the lowest.
     - `over`: the views that errors are measured over, in words.
     - `noise`: the reference's own RMSE; `None` if unknown.
-    - `large`: sentences on recommended biases that are far larger than usual.
+    - `large`: sentences about recommended biases that are far larger than usual.
     - `least_biases`: for other biases with a single fitted number, by label: the number's unit, and the value at which
-        the bias has no more false shadow than the chosen bias.
+      the bias has no more false shadow than the chosen bias.
     """
 
     candidates: Sequence[Candidate]
@@ -37,7 +37,7 @@ class Findings(NamedTuple):
 
     @property
     def same_rmse(self) -> float:
-        """The least difference of RMSEs that counts as a difference."""
+        """The smallest difference of RMSEs that counts as a difference."""
         return self.noise or 0.0
 
     def like_chosen(self, *same: str) -> list[Candidate]:
@@ -48,7 +48,7 @@ class Findings(NamedTuple):
 
 
 def verdict(found: Findings) -> list[str]:
-    """The verdict, sentence by sentence."""
+    """The verdict, one sentence each."""
     parts = (_choice, lambda found: iter(found.large), _against_best, _biases, _less_acne, _filters, _sizes, _fastest)
     return [sentence for part in parts for sentence in part(found)]
 
@@ -82,12 +82,12 @@ def _against_best(found: Findings) -> Iterator[str]:
     if found.noise is not None and chosen.rmse - best.rmse <= found.noise:
         noise = f" The difference is below the reference's noise of {found.noise:.4f}, so the cheaper one is chosen."
     if margin > found.within * best.rmse:
-        good = f"the reference's noise of {margin:.4f} of the least RMSE"
-        # Techniques that more rays would tell apart count as equal.
+        good = f"the reference's noise of {margin:.4f} of the lowest RMSE"
+        # Techniques that only more rays could tell apart count as equal.
         if margin > _NOISY * best.rmse:
             noise += " More reference.samples would tell more techniques apart."
     else:
-        good = f"{100 * found.within:g} % of the least RMSE"
+        good = f"{100 * found.within:g} % of the lowest RMSE"
     yield (
         f"It is as fast as any within {good}. {_upper(best.name)} has {best.rmse:.4f}, {_time(best, chosen)}; the "
         f"recommended one has {_percent(more)} more.{noise}"
@@ -116,7 +116,7 @@ def _biases(found: Findings) -> Iterator[str]:
 
 
 def _less_acne(found: Findings) -> Iterator[str]:
-    """What other biases lose if they are raised until they have no more acne than the recommended one."""
+    """The cost of other biases that are raised until they have no more acne than the recommended bias."""
     chosen = found.chosen
     for peer in found.like_chosen("filter", "resolution")[1:]:
         if peer.bias not in found.least_biases or peer.false_shadow <= chosen.false_shadow + _SAME_RATE:
@@ -127,7 +127,7 @@ def _less_acne(found: Findings) -> Iterator[str]:
         if least.false_shadow > chosen.false_shadow + _SAME_RATE:
             yield (
                 f"No {peer.bias} bias within its bounds removes acne to the {_percent(chosen.false_shadow)} of "
-                f"{chosen.bias}: the least, {_percent(least.false_shadow)}, is at {value}, with "
+                f"{chosen.bias}: the lowest, {_percent(least.false_shadow)}, is at {value}, with "
                 f"{_percent(least.false_light)} of false light; {rest}"
             )
         elif least.false_light > chosen.false_light + _SAME_RATE:
@@ -162,7 +162,7 @@ def _fastest(found: Findings) -> Iterator[str]:
 
 
 def _change(found: Findings, other: Candidate) -> str:
-    """What another candidate changes."""
+    """The effect of another candidate."""
     chosen = found.chosen
     if abs(other.rmse - chosen.rmse) <= found.same_rmse:
         noise = f" within the reference's noise of {found.noise:.4f}" if found.noise else ""
@@ -173,12 +173,12 @@ def _change(found: Findings, other: Candidate) -> str:
 
 
 def _time(of: Candidate, than: Candidate) -> str:
-    """How long one candidate takes compared with another."""
+    """The time of one candidate compared with another."""
     return "in the same time" if same_time(of, than) else f"in {of.ratio / than.ratio:.2f} times the time"
 
 
 def _device() -> str:
-    """What techniques are timed on, in words."""
+    """The device of the times, in words."""
     kind = jax.default_backend()
     return "on the CPU (a GPU may differ)" if kind == "cpu" else f"on the {kind.upper()}"
 

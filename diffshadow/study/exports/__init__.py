@@ -1,1 +1,1 @@
-"""Techniques for your own renderer."""
+"""Exports techniques to other renderers."""

@@ -1,4 +1,4 @@
-"""A page that draws a scene with the exported shader itself: one file, for any browser with WebGL 2."""
+"""A page that draws a scene with the exported shader. It is one file for any browser with WebGL 2."""
 
 import base64
 import json
@@ -30,7 +30,7 @@ from ...config import (
 from ..pages._page import write_page
 
 PAGE = "page.html"
-# The function that the page calls: of one map of depths.
+# The signature of the function that the page calls. It takes one map of depths.
 _FUNCTION = (
     "float shadow(sampler2D map, mat4 world_to_eye, mat4 eye_to_clip, vec3 position, vec3 normal, vec3 to_light, "
     "vec2 pixel, int layer) {"
@@ -46,10 +46,10 @@ class Compared(NamedTuple):
 
 
 def compared_with(config: Config, file: Path, overrides: Sequence[str]) -> Compared:
-    """The setting to compare with. For the configuration of a fit, it is the setting that the fit started from; for any
-    other configuration, the defaults of the numbers that can be fitted.
+    """The setting to compare with. For a fit, it is the setting before the fit. For any other configuration, the
+    fittable numbers have their defaults.
 
-    **Arguments:** `file`, `overrides`: what `config` was loaded from.
+    **Arguments:** `file`, `overrides`: the file and the overrides that `config` was loaded from.
     """
     if file.name == FITTED_FILE:
         before = load_config(file.parent / CONFIG_FILE, [])
@@ -64,13 +64,13 @@ def compared_with(config: Config, file: Path, overrides: Sequence[str]) -> Compa
 
 
 def check_page(config: Config, scene: geometry.Scene, technique: shadow.ShadowMapping) -> None:
-    """**Raises** `ValueError` for what the page does not draw, though it has a shader."""
+    """**Raises** `ValueError` for a technique or scene that has a shader but cannot be drawn by the page."""
     if not isinstance(technique.layout, shadow.SingleMap) or not all(
         _FUNCTION in shadow.to_shader(technique, light, "glsl") for light in scene.lights
     ):
         raise ValueError(
-            f"the filter is {type(technique.filter).__name__} and the layout {type(technique.layout).__name__}, whose "
-            "shader needs more than one map of depths, which the page does not draw: leave out --page"
+            f"the filter is {type(technique.filter).__name__} and the layout {type(technique.layout).__name__}, "
+            "and their shader needs more than one depth map, which the page cannot draw: leave out --page"
         )
     if technique.map.depth_layer != "nearest":
         raise ValueError(
@@ -101,8 +101,7 @@ def write_shader_page(
 
     **Arguments:**
 
-    - `compared`: the setting that is shown beside the scene's. If both settings give the same shader, the page shows
-        one picture.
+    - `compared`: the second setting. If both settings give the same shader, the page shows one picture.
 
     **Returns** remarks on how the page differs from a render.
     """
@@ -113,7 +112,7 @@ def write_shader_page(
     }
     if texts[compared.start] == texts[compared.end]:
         del texts[compared.start]
-    # Most lines of the shaders are the same.
+    # Most lines of the two shaders are the same.
     lines = list(dict.fromkeys(line for each in texts.values() for text in each for line in text.split("\n")))
     place = {line: number for number, line in enumerate(lines)}
     numbered = [[[place[line] for line in text.split("\n")] for text in each] for each in texts.values()]
@@ -131,14 +130,14 @@ def write_shader_page(
     }
     remarks = []
     if scene.mesh.textures is not None:
-        remarks.append("The page has no textures: each face has its mean colour.")
+        remarks.append("The page has no textures. Each face has its mean colour.")
     if config.scene.antialiases:
-        remarks.append("The page shows pixels' centres, and smooths no outlines.")
+        remarks.append("The page samples pixel centres. Outlines are not antialiased.")
     write_page(
         path,
         "shader_page.html.j2",
         title=title,
-        # A "<" would end the element that holds it.
+        # A "<" could end the script element.
         data=Markup(json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")),
         names=list(texts),
         rows=_rows([shown[name] for name in texts]),
@@ -151,7 +150,7 @@ def write_shader_page(
 
 
 def _rows(settings: Sequence[Config]) -> list[tuple[str, str, list[str]]]:
-    """Name, unit and values in each setting of the numbers that can be fitted."""
+    """The fittable numbers: name, unit, and value in each setting."""
     each = [{row.key: row for row in describe(config)} for config in settings]
     names = [name for name in fit_paths(settings[-1]) if any(name in rows for rows in each)]
     unit = lambda name: next(rows[name].unit for rows in reversed(each) if name in rows)
@@ -159,7 +158,7 @@ def _rows(settings: Sequence[Config]) -> list[tuple[str, str, list[str]]]:
 
 
 def _mesh_of(scene: geometry.Scene) -> dict[str, Any]:
-    """The scene's triangles, casters first: places, normals and colours of vertices, and the vertices of faces."""
+    """The scene's triangles, casters first: the vertices' positions, normals and colours, and the faces' vertices."""
     mesh, casts = scene.mesh, scene.casting_faces
     order = np.argsort(~casts, kind="stable")
     colours = np.repeat(geometry.face_colours(mesh)[:, None], 3, axis=1)
@@ -186,7 +185,7 @@ def _mesh_of(scene: geometry.Scene) -> dict[str, Any]:
 
 
 def _columns(matrix: Any) -> list[float]:
-    """Matrices column after column, as WebGL takes them."""
+    """Matrices in column-major order, for WebGL."""
     return np.swapaxes(np.asarray(matrix, np.float64), -1, -2).ravel().tolist()
 
 
@@ -195,12 +194,12 @@ def _numbers(values: Any) -> list[float]:
 
 
 def _camera_of(scene: geometry.Scene) -> dict[str, Any]:
-    """The camera, the point that it turns about, and what else a camera that is moved needs."""
+    """The camera, the point that it orbits, and its limits."""
     camera, mesh = scene.camera, scene.mesh
     view = raster.drawn_view(camera.view(), mesh)
     to_eye, points = np.asarray(view.world_to_eye, np.float64), np.asarray(mesh.vertices, np.float64)
     middle = np.asarray(getattr(camera, "target", (points.min(axis=0) + points.max(axis=0)) / 2), np.float64)
-    # On the camera's axis, before it.
+    # On the camera's axis, in front of it.
     eye = np.linalg.inv(to_eye)[:3, 3]
     target = eye - to_eye[2, :3] * max((eye - middle) @ to_eye[2, :3], 2 * float(view.near))
     return {
@@ -209,9 +208,9 @@ def _camera_of(scene: geometry.Scene) -> dict[str, Any]:
         "perspective": bool(view.is_perspective),
         "target": target.tolist(),
         "near": float(camera.view().near),
-        # From the target to the farthest point, in world units.
+        # The distance from the target to the farthest point, in world units.
         "reach": float(np.linalg.norm(points - target, axis=1).max()),
-        # Of the camera above its target, in radians.
+        # The camera's elevation above its target, in radians.
         "elevation": float(np.arcsin(np.clip(to_eye[2, 1], -1, 1))),
     }
 
@@ -249,7 +248,8 @@ def _light_of(light: geometry.AbstractLight, intensity: Any) -> dict[str, Any]:
 
 
 def _phong(config: Config) -> tuple[shading.Phong, float]:
-    """The lit shading, and the part of all light that is left in shadow; -1 if shadow takes a light's own part away."""
+    """The lit shading, and the fraction of light that remains in shadow. The fraction is -1 if shadow removes each
+    light's own contribution."""
     made = build_shading(config)
     if isinstance(made, shading.ModulatedShadow):
         assert isinstance(made.lit, shading.Phong)
@@ -259,7 +259,7 @@ def _phong(config: Config) -> tuple[shading.Phong, float]:
 
 
 def _intensities(config: Config) -> list[Any]:
-    """Of each light."""
+    """One value for each light."""
     phong, _ = _phong(config)
     return list(phong.intensities or [phong.intensity] * len(config.scene.each_light))
 

@@ -1,4 +1,4 @@
-"""Exports a technique as a shader, with what a renderer must set around it."""
+"""Exports a technique as a shader, with instructions for the renderer."""
 
 import json
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from ._page import PAGE, Compared, check_page, write_shader_page
 
 README, SCENE, MATRICES, BUFFERS = "README.md", "scene.glb", "light.json", "buffers.json"
 
-# What each format is called: by OpenGL, WebGPU and Direct3D.
+# The names of each format in OpenGL, WebGPU and Direct3D.
 _FORMATS = {
     "float32": ("`GL_DEPTH_COMPONENT32F`", "`depth32float`", "`DXGI_FORMAT_D32_FLOAT`"),
     "unorm24": ("`GL_DEPTH_COMPONENT24`", "`depth24plus`", "`DXGI_FORMAT_D24_UNORM_S8_UINT`"),
@@ -30,9 +30,9 @@ _CULLED = {
     "front": ("`glCullFace(GL_FRONT)`", '`cullMode: "front"`', "`D3D11_CULL_FRONT`"),
 }
 _LAYERS = {
-    "second": "Store the second depth from the light, not the nearest: draw twice, and leave out in the second pass "
-    "what is at the first pass's depth or in front of it.",
-    "midpoint": "Store the mean of the nearest and the second depth from the light: draw both, and average them.",
+    "second": "Store the second depth from the light, not the nearest. Draw twice. In the second pass, discard "
+    "fragments at the first pass's depth or in front of it.",
+    "midpoint": "Store the mean of the nearest and the second depth from the light. Draw both, and average them.",
 }
 _LANGUAGES = {
     "glsl": "GLSL (version 3.30, or ES 3.00 with `precision highp float; precision highp sampler2D;` above it)",
@@ -56,7 +56,7 @@ _CALLS = {
         "float lit = {call};",
     ),
 }
-# Where a pass draws, counted from the lower left texel of its target.
+# The texel that a pass draws, counted from the lower left texel of its target.
 _TEXELS = {
     "glsl": "ivec2(gl_FragCoord.xy)",
     "wgsl": "vec2i(i32(at.x), height - 1 - i32(at.y))",
@@ -73,18 +73,18 @@ def export_shader(
     origin: str = "",
     compared: Compared | None = None,
 ) -> Path:
-    """Writes the technique of `config` as a shader for each light, the scene, and what a renderer must set.
+    """Writes the technique of `config` as a shader for each light, with the scene and instructions for the renderer.
 
     **Arguments:**
 
-    - `folder`: made if it does not exist. Files of an earlier export are replaced.
-    - `origin`: where the values come from, for the README.
-    - `compared`: the setting that a page shows beside the scene's; `None` for no page. None for no page.
+    - `folder`: created if it does not exist. Files of an earlier export are replaced.
+    - `origin`: the source of the values, for the README.
+    - `compared`: the second setting of the page; `None` for no page.
 
     **Returns** the folder.
 
-    **Raises** `ConfigError` for a technique or a light that has no shader, or that the page does not draw, and
-    `FileError` if a file cannot be written.
+    **Raises** `ConfigError` for a technique or a light that has no shader or that the page cannot draw, and `FileError`
+    if a file cannot be written.
     """
     technique, scene = build_technique(config, fitting=False), build_scene(config)
     shaders, buffers = {}, {}
@@ -144,7 +144,7 @@ def export_shader(
 
 
 def _call(technique: shadow.ShadowMapping, file: str) -> str:
-    """How the function of this file is called."""
+    """The name of this file's function."""
     maps = ["map", *technique.filter.shader().textures]
     warp = ["warp"] if isinstance(technique.layout, shadow.PerspectiveWarp) else []
     last = "0" if isinstance(technique.layout, shadow.SingleMap) else "depth"
@@ -153,7 +153,7 @@ def _call(technique: shadow.ShadowMapping, file: str) -> str:
 
 
 def _passes(technique: shadow.ShadowMapping, lights: Sequence[geometry.AbstractLight]) -> tuple[str, ...]:
-    """The sizes of the targets of the two passes that blur the map, width x height in texels; none without a blur."""
+    """The sizes of the targets of the two blur passes, width x height in texels. Empty without a blur."""
     margin = _constant(technique, "BLUR_MARGIN")
     if margin is None:
         return ()
@@ -166,24 +166,25 @@ def _passes(technique: shadow.ShadowMapping, lights: Sequence[geometry.AbstractL
 
 
 def _constant(technique: shadow.ShadowMapping, name: str) -> Any:
-    """A constant of the filter's shader; none if it has none of this name."""
+    """A constant of the filter's shader, or `None` if there is no such constant."""
     return next((each.value for each in technique.filter.shader().constants if each.name == name), None)
 
 
 def _sides(light: geometry.AbstractLight) -> str:
-    """The sides of cascades of several sizes, in texels."""
+    """The sides of cascades of different sizes, in texels."""
     tile = light.view().tile
     return "" if tile is None else ", ".join(str(int(side)) for side in tile.size)
 
 
 def _layers(light: geometry.AbstractLight) -> int:
-    """How many layers the light's map has."""
+    """The number of layers of the light's map."""
     view = light.view()
     return max([len(matrix) for matrix in (view.world_to_eye, view.eye_to_clip) if matrix.ndim > 2], default=1)
 
 
 def _matrices(light: geometry.AbstractLight) -> dict[str, list[Any]]:
-    """The light's matrices, row by row, for column vectors; of a point light or of cascades, one for each layer."""
+    """The light's matrices, row by row, for column vectors. A point light and cascades have one matrix for each
+    layer."""
     view = light.view()
     projection = np.asarray(view.eye_to_clip, np.float64)
     halved = np.diag([1.0, 1.0, 0.5, 1.0])
@@ -199,7 +200,7 @@ def _matrices(light: geometry.AbstractLight) -> dict[str, list[Any]]:
 
 
 def _rows(settings: shadow.MapSettings, lights: Sequence[geometry.AbstractLight]) -> dict[str, tuple[str, ...]]:
-    """What a renderer sets for the map: in OpenGL, in WebGPU and in Direct3D 11."""
+    """The renderer's settings for the map, in OpenGL, WebGPU and Direct3D 11."""
     height, width = settings.resolution
     sizes = "; ".join(
         f"{width} x {count * height}" + (f", {count} layers of {width} x {height}" if count > 1 else "")
@@ -218,7 +219,7 @@ def _rows(settings: shadow.MapSettings, lights: Sequence[geometry.AbstractLight]
         "size in texels": (sizes,) * 3,
         "cleared to": ("1.0",) * 3,
         "depth test": ("`GL_LESS`", '`depthCompare: "less"`', "`D3D11_COMPARISON_LESS`"),
-        "faces left out; counter-clockwise ones are in front": _CULLED[settings.cull],
+        "culled faces; front faces are counter-clockwise": _CULLED[settings.cull],
         "polygon offset": offset,
         "clip space's depths": ("-1 to 1", "0 to 1", "0 to 1"),
         "first row in memory": ("the lowest", "the highest", "the highest"),

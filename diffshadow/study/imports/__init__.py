@@ -1,1 +1,1 @@
-"""Turns scenes of other programs into configurations."""
+"""Converts scenes of other programs to configurations."""

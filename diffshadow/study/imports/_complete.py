@@ -1,4 +1,4 @@
-"""Adds the camera, the light and the ground that a scene's file lacks."""
+"""Adds a camera, a light and a ground to scenes without them."""
 
 import math
 
@@ -10,16 +10,16 @@ from ..._types import HostArray
 from ...settings.scene import UP, PinholeCamera
 from ._settings import check_casters
 
-# Near plane of a camera that is added, as a part of the distance to what it looks at.
+# Near plane of an added camera, as a fraction of the distance to its target.
 _NEAR = 0.01
 # All layers of three.js.
 _LAYERS = (1 << 32) - 1
 
 
 def completed(scene: io.SceneFile, camera: str | None, light: str | None, remarks: list[str]) -> io.SceneFile:
-    """`scene` with a camera and a light, if it has none and none is named. A remark says what was added.
+    """`scene` with a camera and a light, if it has none and none is named. A remark names the added parts.
 
-    A scene without camera or light gets a ground too if it has none, since its shadow would fall on nothing.
+    A scene without camera or light also gets a ground if it has none, because its shadow would fall on nothing.
 
     **Raises** `ValueError` if it has no mesh that casts shadows.
     """
@@ -79,7 +79,7 @@ def _light(found: geometry.Arranged, corners: Float[HostArray, "f 3 3"]) -> tupl
     azimuth, elevation = found.sun
     size = float(np.linalg.norm(np.ptp(corners, axis=(0, 1))))
     middle = (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1))) / 2
-    # Behind everything that it lights.
+    # Behind every object that it lights.
     position = tuple((middle - size * found.direction).tolist())
     light = io.SceneLight("found", "directional", position, tuple(found.direction.tolist()), layers=_LAYERS)
     return light, f"a sun at azimuth {azimuth:g} and elevation {elevation:g} degrees"

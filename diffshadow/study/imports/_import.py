@@ -1,4 +1,4 @@
-"""Turns a scene that another program stored into a configuration and its mesh files."""
+"""Converts a scene of another program to a configuration and its mesh files."""
 
 import contextlib
 import os
@@ -34,23 +34,21 @@ def import_scene(
     shadow_type: ShadowType = ThreeJs.shadow_type,
     output: str | os.PathLike[str] | None = None,
 ) -> Path:
-    """Writes the configuration of a scene's file, and its meshes beside it. Prints what is imported and what is left
-    out.
+    """Writes the configuration of a scene's file and its meshes. Prints the imported and the omitted parts.
 
     **Arguments:**
 
-    - `path`: a JSON file of three.js, GLB, glTF 2.0, or any mesh file. If the file lacks a camera, a light or a ground,
-        it is added.
+    - `path`: a JSON file of three.js, GLB, glTF 2.0, or any mesh file. A missing camera, light or ground is added.
     - `camera`, `light`: names; by default the first camera, and the first light that casts shadows. `camera` may also
-        be a scene's file that holds a camera.
-    - `shadow_type`: `renderer.shadowMap.type`, which no scene's file holds.
-    - `output`: the folder to write to; by default one named like the file, in the current folder.
+      be the file of a scene with a camera.
+    - `shadow_type`: `renderer.shadowMap.type`, which scene files do not store.
+    - `output`: the folder to write to; by default a folder in the current folder, with the name of the file.
 
     **Returns** the path of the configuration.
 
-    **Raises** `FileError` for a file that cannot be read or written, or a configuration that exists already,
-    `ValueError` for a scene without meshes, or without a light that casts shadows, and `ConfigError` for a scene that
-    no configuration can describe.
+    **Raises** `FileError` for a file that cannot be read or written, or a configuration that exists already. **Raises**
+    `ValueError` for a scene without meshes or without a light that casts shadows, and `ConfigError` for a scene that no
+    configuration can describe.
     """
     file = Path(path)
     if file.is_dir():
@@ -63,7 +61,7 @@ def import_scene(
     written = folder / f"{name}.yaml"
     if written.exists():
         raise io.FileError(
-            f"{written} exists already; expected no such file, since it may have been edited; remove it, or give "
+            f"{written} exists already; expected a new file, because it may have been edited; remove it, or give "
             "another folder with --output"
         )
     scene = io.read_scene(file)
@@ -73,7 +71,7 @@ def import_scene(
     try:
         chosen = _converted(scene, file, written, camera, light, technique, shadow_type, remarks)
     except ValueError:
-        # What was left out may be why.
+        # An omitted part may be the cause.
         table.print_lines(console, [f"note: {line}" for line in remarks])
         raise
     _say(console, chosen, remarks)
@@ -90,7 +88,7 @@ def _converted(
     shadow_type: ShadowType,
     remarks: list[str],
 ) -> Chosen:
-    """Writes what `import_scene` writes. **Returns** the parts that it is made of. Adds to `remarks`."""
+    """Writes the files of `import_scene`. **Returns** the imported parts. Adds to `remarks`."""
     folder = written.parent
     scene = completed(scene, camera, light, remarks)
     chosen = choose(scene, camera, light, remarks)
@@ -98,14 +96,14 @@ def _converted(
         chosen = _with_lamp(chosen, remarks)
     files = _file_names(chosen)
     textures = _texture_names(chosen, files)
-    # Far from the world's origin, files keep the shape of meshes, and the configuration their places.
+    # Far from the world's origin, files store the shapes of meshes, and the configuration stores their positions.
     origins = [geometry.origin_of(mesh.vertices) for mesh in chosen.meshes]
     remarks += [f"{mesh.name} {coarse}" for mesh in chosen.meshes if (coarse := io.coarse_steps(mesh.vertices))]
     settings = settings_of(chosen, files, textures, origins, scene.engine is not None, technique, shadow_type, remarks)
     if technique == "three.js" and scene.engine is None:
         remarks.append("the file has no settings of shadows: bias, radius, map size and sides are three.js' defaults")
     if technique == "three.js":
-        remarks.append(f"renderer.shadowMap.type is not in the file; {shadow_type} is taken (--shadow-type)")
+        remarks.append(f"renderer.shadowMap.type is not in the file; {shadow_type} is used (--shadow-type)")
     text = _text({"name": written.stem, **settings}, file.name)
     _check(text, file, folder)
     near = [
@@ -122,7 +120,7 @@ def _converted(
 
 
 def _with_lamp(chosen: Chosen, remarks: list[str]) -> Chosen:
-    """`chosen`, whose light's own mesh does not cast, where the file has no settings of shadows."""
+    """`chosen`, without shadows from the light's own mesh if the file has no settings of shadows."""
     mesh = None if chosen.light.type == "directional" else mesh_of(chosen.meshes, np.asarray(chosen.light.position))
     if mesh is None:
         return chosen
@@ -131,11 +129,12 @@ def _with_lamp(chosen: Chosen, remarks: list[str]) -> Chosen:
 
 
 def _check(text: str, file: Path, folder: Path) -> None:
-    """**Raises** `ConfigError` if the scene lies beyond the limits of configurations. Nothing is written before."""
+    """**Raises** `ConfigError` if the scene exceeds the limits of configurations. Checked before anything is
+    written."""
     try:
         parse_config(text, folder=folder, fitting=True, files=False)
     except ConfigError as error:
-        said = "it is taken from the scene: change it there"
+        said = "it comes from the scene: change it there"
         raise ConfigError(
             [Mistake(Location(str(file)), each.key, f"{each.message} ({said})") for each in error.mistakes]
         ) from error
@@ -159,7 +158,7 @@ def _write(
             (draft / of).write_bytes(io.png_of(picture.levels))
         (draft / name).write_text(text, encoding="utf-8")
         (folder / _MESHES).mkdir(exist_ok=True)
-        # The configuration comes last, since it says that all is there.
+        # The configuration comes last, so it exists only if all other files do.
         for each in (*meshes, *pictures, name):
             os.replace(draft / each, folder / each)
     except OSError as error:
@@ -173,7 +172,7 @@ def _write(
 
 
 def _file_names(chosen: Chosen) -> list[str]:
-    """A file for each mesh, named like it."""
+    """A file for each mesh, with the name of the mesh."""
     names: list[str] = []
     for mesh in chosen.meshes:
         plain = _plain_name(mesh.name)
@@ -185,7 +184,8 @@ def _file_names(chosen: Chosen) -> list[str]:
 
 
 def _texture_names(chosen: Chosen, files: Sequence[str]) -> list[str | None]:
-    """A file for each mesh's picture, named like the first mesh that has it; none for a mesh without one."""
+    """A file for each mesh's picture, with the name of the first mesh that has it. `None` for a mesh without a
+    picture."""
     names: dict[int, str] = {}
     pictures = [None if mesh.texture is None else mesh.texture.picture for mesh in chosen.meshes]
     return [
@@ -195,7 +195,7 @@ def _texture_names(chosen: Chosen, files: Sequence[str]) -> list[str | None]:
 
 
 def _plain_name(name: str) -> str:
-    """`name` without what file names and the names of runs cannot have."""
+    """`name` without characters that files and runs cannot have in their names."""
     return re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_").lower()[:60] or "scene"
 
 

@@ -1,4 +1,4 @@
-"""The size of a lamp, which no scene's file has."""
+"""The size of a lamp, which scene files do not store."""
 
 import math
 from collections.abc import Sequence
@@ -10,10 +10,10 @@ from ... import io
 from ..._types import HostArray
 
 HALF_ANGLE = 0.5
-"""Half the angle at which receivers see a light, in degrees: engines' lights have no size, and penumbrae need one."""
-# A mesh around a lamp that reaches this far, as a fraction of the distance to what it lights, is a room or a sky.
+"""Half the angle of a light as receivers see it, in degrees. Engines' lights have no size, but penumbrae need one."""
+# A mesh around a lamp is a room or a sky if it extends this far, as a fraction of the distance to the lit surfaces.
 _LARGEST = 0.25
-# A lamp may lie beside its mesh by this fraction of the mesh's longest side.
+# The distance between a lamp and its mesh may be this fraction of the mesh's longest side.
 _BESIDE = 0.25
 
 
@@ -29,8 +29,7 @@ def distance_lit(meshes: Sequence[io.SceneMesh], position: Float[HostArray, "3"]
 
 
 def mesh_of(meshes: Sequence[io.SceneMesh], position: Float[HostArray, "3"]) -> io.SceneMesh | None:
-    """The smallest mesh at `position` that shines, if it is small compared with the distance to what the lamp
-    lights."""
+    """The smallest luminous mesh at `position`, if it is small compared with the distance to the lit surfaces."""
     most = _LARGEST * distance_lit(meshes, position)
     found = [mesh for mesh in meshes if mesh.emits and _is_around(mesh, position) and max(_sides(mesh)) <= most]
     return min(found, key=_radius, default=None)
@@ -43,7 +42,10 @@ def lamp_size(meshes: Sequence[io.SceneMesh], position: Float[HostArray, "3"]) -
         return _radius(mesh), f"the radius of its mesh {mesh.name}"
     distance = distance_lit(meshes, position)
     radius = math.tan(math.radians(HALF_ANGLE)) * distance
-    return radius, f"seen under {2 * HALF_ANGLE:g} degree from {distance:.3g} world units, the median of what it lights"
+    return (
+        radius,
+        f"seen under {2 * HALF_ANGLE:g} degree from {distance:.3g} world units, the median distance of lit surfaces",
+    )
 
 
 def _points(mesh: io.SceneMesh) -> Float[HostArray, "v 3"]:

@@ -1,4 +1,4 @@
-"""The configuration of a scene that another program stored."""
+"""The configuration of another program's scene."""
 
 import math
 from collections.abc import Sequence
@@ -10,17 +10,17 @@ from ... import geometry, io
 from ...settings.engines import ImportedTechnique, ShadowType, ThreeJs
 from ._lamp import HALF_ANGLE, distance_lit, lamp_size
 
-# Pixels of the longer side of the image.
+# Pixels of the image's longer side.
 _PIXELS = 512
-# Bounds of a fit, as fractions of the diagonal of the scene's box: of a bias' shift, and of a normal bias.
+# Bounds of a fit, as fractions of the diagonal of the scene's box: for the shift of a bias, and for a normal bias.
 _SHIFT, _OFFSET = 0.04, 0.0125
 _RADIUS = 6.0
-# More than single precision has.
+# More digits than single precision has.
 _DIGITS = 9
 
 
 class _Remedies(NamedTuple):
-    """What makes a scene's file have what it lacks."""
+    """How to change another program's scene so that its file has the missing parts."""
 
     light: str
     mesh: str
@@ -37,7 +37,7 @@ _GLTF = _Remedies(
 
 
 class Chosen(NamedTuple):
-    """The parts of a scene's file that a configuration is made of."""
+    """The parts of a scene's file that become a configuration."""
 
     meshes: list[io.SceneMesh]
     camera: io.SceneCamera
@@ -45,8 +45,8 @@ class Chosen(NamedTuple):
 
 
 def choose(scene: io.SceneFile, camera: str | None, light: str | None, remarks: list[str]) -> Chosen:
-    """The camera and light of these names, by default the first, and what they see and light. Adds a remark on each
-    part that is left out to `remarks`.
+    """The camera and light with these names, or the first ones, with the visible and lit meshes. Adds a remark for each
+    omitted part to `remarks`.
 
     **Raises** `ValueError` if there is no such camera or light, or no mesh.
     """
@@ -76,17 +76,17 @@ def check_casters(scene: io.SceneFile, meshes: Sequence[io.SceneMesh]) -> None:
         mend = remedies.mesh
         if scene.left_out:
             found += f", and {scene.left_out} left out"
-            mend = f"mend what is left out, as the notes say, or {mend}"
+            mend = f"fix the omitted parts as in the notes, or {mend}"
         raise ValueError(f"the scene has no mesh that casts shadows ({found}); expected one: {mend}")
 
 
 def _named[T: (io.SceneCamera, io.SceneLight)](
     what: str, entries: Sequence[T], name: str | None, remarks: list[str]
 ) -> T:
-    """The entry of this name, by default the first."""
+    """The entry with this name, or the first entry."""
     names = ", ".join(dict.fromkeys(each.name for each in entries))
     if name is None:
-        remarks += [f"{each.name}: another {what}; left out, or take it with --{what}" for each in entries[1:]]
+        remarks += [f"{each.name}: another {what}; left out; --{what} selects it" for each in entries[1:]]
         return entries[0]
     found = [each for each in entries if each.name == name]
     if not found:
@@ -96,7 +96,7 @@ def _named[T: (io.SceneCamera, io.SceneLight)](
     return found[0]
 
 
-# Upper bounds of the biases of engines whose settings no file has.
+# Upper bounds of the biases of engines whose settings scene files do not store.
 _MOST: dict[str, dict[str, float]] = {
     "playcanvas": {"shadow_bias": 1.0, "normal_offset_bias": 0.2},
     "bevy": {"shadow_depth_bias": 0.5, "shadow_normal_bias": 4.0},
@@ -114,13 +114,13 @@ def settings_of(
     shadow_type: ShadowType,
     remarks: list[str],
 ) -> dict[str, Any]:
-    """The configuration of `chosen`, with meshes in `files` and their `textures`. Adds to `remarks` what differs from
-    the scene.
+    """The configuration of `chosen`, with meshes in `files` and their `textures`. Adds differences from the scene to
+    `remarks`.
 
     **Arguments:**
 
-    - `origins`: for each mesh, the world point that the coordinates in its file are counted from.
-    - `engine`: whether the scene says how shadows are drawn; otherwise the technique's defaults are taken.
+    - `origins`: for each mesh, the world point that is the origin of its file.
+    - `engine`: whether the scene defines how shadows are drawn. If not, the technique has its defaults.
     """
     meshes, camera, light = chosen
     points = np.concatenate([mesh.vertices[np.unique(mesh.faces)] for mesh in meshes])
@@ -145,11 +145,11 @@ def settings_of(
             del fitted["technique.radius"]
         settings["fit"] = {"parameters": fitted}
     elif technique != "shadow_map":
-        # No file has their settings.
+        # Scene files do not store their settings.
         settings["technique"] = {"type": technique}
         if shadow is not None:
             size = max(shadow.map_size)
-            # Their maps are square, and Bevy's a power of two.
+            # Their maps are square, and Bevy's sides are powers of two.
             settings["shadow_map"] = {"resolution": [1 << (size - 1).bit_length()] * 2}
             remarks.append(f"bias, normalBias and radius of the light's shadow: left out with technique {technique}")
         bounds = {f"technique.{key}": {"lower": 0, "upper": most} for key, most in _MOST[technique].items()}
@@ -184,7 +184,7 @@ def _mesh(mesh: io.SceneMesh, file: str, texture: str | None, origin: geometry.O
 
 
 def _sampler(sampler: geometry.Sampler) -> dict[str, Any]:
-    """The keys of a texture that is read otherwise than by default."""
+    """The keys of a texture that is not read in the default way."""
     default = geometry.Sampler()
     wrap = {"texture_wrap": _each([*sampler.wrap])} if sampler.wrap != default.wrap else {}
     return wrap | ({"texture_filter": sampler.filter} if sampler.filter != default.filter else {})
@@ -197,7 +197,7 @@ def _camera(camera: io.SceneCamera, middle: Any, diagonal: float, remarks: list[
         aspect = 1.0
     height, width = (_PIXELS, _PIXELS * aspect) if aspect < 1 else (_PIXELS / aspect, _PIXELS)
     eye, forward = np.asarray(camera.eye), np.asarray(camera.forward)
-    # The point on its axis that is closest to the middle of the scene, so that it reads well.
+    # The point on its axis closest to the centre of the scene, which is easy to read.
     reach = max(float((middle - eye) @ forward), 1e-3 * float(np.abs(middle - eye).max()), camera.near or 1e-3)
     settings: dict[str, Any] = {
         "type": "orthographic" if camera.fov_y is None else "pinhole",
@@ -285,13 +285,13 @@ def _three_js(meshes: Sequence[io.SceneMesh], shadow: io.SceneShadow | None, sha
 
 
 def _depth_slope(light: io.SceneLight, shadow: io.SceneShadow | None, distance: float, diagonal: float) -> float:
-    """Window depth per world unit at `distance`, the median of what the light lights. A map that is fitted to the scene
-    is as deep as the scene, or from half this distance to one and a half times it."""
+    """Window depth per world unit at `distance`, the median distance of the lit surfaces. A map that is fitted to the
+    scene is as deep as the scene, or extends from half this distance to one and a half times it."""
     is_directional = light.type == "directional"
     fitted = (0, diagonal) if is_directional else (0.5 * distance, 1.5 * distance)
     near, far = fitted if shadow is None else (shadow.near, shadow.far)
     if not far > near:
-        # No configuration has these, which its check says.
+        # Configurations do not have these properties; the check of the configuration says so.
         return 0.0
     if is_directional:
         return 1 / (far - near)
@@ -314,12 +314,12 @@ def _each[T: (str, str | None)](values: list[T]) -> T | list[T]:
 
 
 def _place(point: Any, diagonal: float) -> list[float]:
-    """A point of the world to nine digits, and to more where it is more than a hundred times as far from the world's
-    origin as a scene's `diagonal` is long."""
+    """A point of the world with nine digits. Far from the world's origin, at more than a hundred times the scene's
+    `diagonal`, it has more."""
     beyond = float(np.abs(point).max()) / (100 * max(diagonal, np.finfo(np.float32).tiny))
     return _rounded(point, min(_DIGITS + (math.ceil(math.log10(beyond)) if beyond > 1 else 0), 17))
 
 
 def _rounded(values: Any, digits: int = _DIGITS) -> list[float]:
-    """`values` to so many digits, more than single precision has."""
+    """`values` with this many digits, more than single precision has."""
     return [float(f"{value:.{digits}g}") + 0.0 for value in values]

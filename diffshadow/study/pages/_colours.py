@@ -1,6 +1,6 @@
-"""Colours over images: the layers of a map, differences, and marks of false shadow and false light.
+"""Colours over images: the layers of a map, differences, and marks for false shadow and false light.
 
-Images are floats in [0, 1], row 0 at the bottom; colours are in sRGB.
+Images are floats in [0, 1] with row 0 at the bottom. Colours are in sRGB.
 """
 
 import numpy as np
@@ -15,23 +15,23 @@ from .. import style
 Image = Float[HostArray, "h w"]
 Colours = Float[HostArray, "h w 3"]
 Pixels = Bool[HostArray, "h w"]
-# The part of the image's own brightness that stays under the colours of layers.
+# The fraction of the image's brightness that remains under the colours of layers.
 _KEPT = 0.35
-# Differences of visibility at the ends of their colours.
+# The limits of the colour scale, as differences of visibility.
 _LIMIT = 0.5
-# A reference is lit or dark to within this much, as `metrics` takes it.
+# A reference counts as lit or dark within this tolerance, as in `metrics`.
 _NEARLY = 1e-6
-# Of an image under marks.
+# The brightness of an image under marks.
 _GREY = 0.75
 
 
 def colours_of(numbers: Int[HostArray, "*n"]) -> Float[HostArray, "*n 3"]:
-    """The colour of each of these numbers."""
+    """A colour for each of these numbers."""
     return np.array([to_rgb(colour) for colour in style.CYCLE])[numbers % len(style.CYCLE)]
 
 
 def tinted(image: Colours, layers: shadow.LayerFigure) -> Colours:
-    """`image` in the colours of `layers`."""
+    """`image`, tinted with a colour for each of the `layers`."""
     tint = colours_of(np.asarray(layers.colour))
     if layers.other is not None and layers.weight is not None:
         share = np.asarray(layers.weight)[..., None]
@@ -42,18 +42,18 @@ def tinted(image: Colours, layers: shadow.LayerFigure) -> Colours:
 
 
 def on_surface(image: Image | Colours, mask: Pixels) -> Colours:
-    """`image` where there is a surface, and the colour for no surface elsewhere."""
+    """`image` where there is a surface, and a fixed colour elsewhere."""
     image = image if image.ndim > 2 else image[..., None]
     return np.where(mask[..., None], image, to_rgb(style.NO_SURFACE))
 
 
 def difference_colours(difference: Image, mask: Pixels) -> Colours:
-    """Differences from the reference where they count: orange is too dark, purple too light."""
+    """Differences from the reference at the pixels that count. Orange is too dark, and purple is too light."""
     return on_surface(colormaps[style.DIFFERENCE]((difference / _LIMIT + 1) / 2)[..., :3], mask)
 
 
 def marked(image: Colours, difference: Image, truth: Image, mask: Pixels) -> Colours:
-    """`image` in grey, with false shadow in vermilion and false light in blue, by how much of the light is wrong."""
+    """`image` in grey. False shadow is vermilion and false light is blue; stronger colours mark larger errors."""
     found = np.repeat(_GREY * image.mean(axis=-1, keepdims=True), 3, axis=-1)
     for there, wrong, colour in (
         (truth >= 1 - _NEARLY, -difference, style.VERMILION),

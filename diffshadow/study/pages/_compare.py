@@ -17,7 +17,7 @@ from ._table import ERRORS, UNITS, number, print_comparison
 # A run's name and folder do not count as differences.
 _NOT_COMPARED = ("name", "output")
 _NONE = "–"
-# Settings of what the shadow should be, and the most of them that a remark names.
+# Settings that define the scene or its reference, and the maximum number of them that a remark names.
 _SCENE = ("scene.", "reference.path")
 _MAX_KEYS = 4
 
@@ -36,8 +36,8 @@ def compare(folders: Sequence[Path], page: Path, *, console: Console) -> Path:
 
     **Returns** the page.
 
-    **Raises** `FileError` if a folder holds no finished run, or the page cannot be written, and `ValueError` if there
-    are fewer than two folders, or a folder is given twice.
+    **Raises** `FileError` if a folder has no finished run or the page cannot be written. **Raises** `ValueError` if
+    there are fewer than two folders or a folder is given twice.
     """
     resolved = [folder.resolve() for folder in folders]
     if len(set(resolved)) < max(len(resolved), 2):
@@ -62,7 +62,7 @@ def compare(folders: Sequence[Path], page: Path, *, console: Console) -> Path:
 
 
 def _labels(folders: Sequence[Path]) -> list[str]:
-    """Unique names of the runs: the names of their folders, or the whole paths where these are not unique."""
+    """Unique names of the runs: the names of their folders, or the whole paths if the names are not unique."""
     names = [folder.resolve().name for folder in folders]
     return [name if names.count(name) == 1 else str(folder) for name, folder in zip(names, folders, strict=True)]
 
@@ -105,10 +105,10 @@ def _errors(runs: Sequence[VisibilityRun[Any]]) -> list[Line]:
 
 
 def _scene_remarks(runs: Sequence[VisibilityRun[Any]], differing: Sequence[Line]) -> list[str]:
-    """That the runs are of different scenes or references, if they are; errors do not rank techniques then.
+    """A remark that the runs have different scenes or references, if they do. Their errors then do not rank techniques.
 
-    Runs with the same reference images show the same scene. A fit's own parameters, such as a light's pose, are no
-    difference of scenes.
+    Runs with the same reference images show the same scene. The parameters of a fit, such as a light's pose, do not
+    count as a difference.
     """
     images = [[light.reference for light in run.lights] for run in runs]
     if all(len(each) == len(images[0]) and all(map(np.array_equal, each, images[0])) for each in images):
@@ -126,7 +126,7 @@ def _scene_remarks(runs: Sequence[VisibilityRun[Any]], differing: Sequence[Line]
 
 
 def _warnings(run: VisibilityRun[Any]) -> list[str]:
-    """The remarks on a run; first, that a fit does not explain its references."""
+    """The remarks on a run. The first is that a fit does not explain its references."""
     said = run.record.said
     unexplained = [said.sentence] if said is not None and not run.record.is_explained else []
     return [*unexplained, *(run.record.warnings or [])]
@@ -139,7 +139,7 @@ def _write(
     parts: dict[str, list[Line]],
     remarks: Sequence[str],
 ) -> None:
-    # Imported here, since they load Matplotlib.
+    # Imported here because they load Matplotlib.
     from .. import style
     from . import _figures as figures
     from ._page import difference_scale, picture, write_page

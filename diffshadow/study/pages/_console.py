@@ -1,4 +1,4 @@
-"""What a run prints at its end: its record."""
+"""Prints a run's record when the run ends."""
 
 from collections.abc import Mapping, Sequence
 
@@ -24,7 +24,7 @@ from ._table import (
     words,
 )
 
-"""The file in a run's folder that holds an engine's code."""
+"""The name of the file with an engine's code in a run's folder."""
 # The console lists the losses of at most this many starts.
 _MAX_STARTS = 8
 
@@ -34,8 +34,8 @@ def print_run(console: Console, record: records.FolderRecord, seconds: float, re
 
     **Arguments:**
 
-    - `seconds`: how long it took in all.
-    - `result`: the result of a fit of numbers without a record of how it chose its values.
+    - `seconds`: the total time.
+    - `result`: the result of a fit of numbers. It does not record how its values were chosen.
     """
     if record.said is not None:
         print_lines(console, [record.said.sentence, *record.said.remedies], warn=not record.is_explained)
@@ -63,13 +63,13 @@ def print_run(console: Console, record: records.FolderRecord, seconds: float, re
 
 
 def _print_fit(console: Console, record: records.FitRecord, seconds: float, result: FitResult | None) -> list[str]:
-    """Prints the tables of a fit. **Returns** the sentences below them."""
+    """Prints the tables of a fit. **Returns** the sentences to print below them."""
     print_fit(console, record)
     if record.profiles:
         print_profiles(console, record.profiles, record.fitted)
         if result is not None and result.sureness.prefer:
-            chosen = "fit.prefer chose the fitted values among those with at most"
-            print_lines(console, [f"{chosen} {100 * result.sureness.tolerance:.3g} % more than the least error"])
+            chosen = "fit.prefer chose among values with at most"
+            print_lines(console, [f"{chosen} {100 * result.sureness.tolerance:.3g} % more than the lowest error"])
     if record.front:
         print_front(console, record.front)
     if record.metrics.validation is not None:
@@ -92,7 +92,8 @@ def print_fit(console: Console, record: records.FitRecord) -> None:
 
 
 def print_profiles(console: Console, profiles: Mapping[str, records.Profile], fitted: Mapping[str, float]) -> None:
-    """Prints where each parameter may lie for errors close to the best, with the others fitted again."""
+    """Prints the intervals in which the error stays close to the minimum while the other parameters are fitted
+    again."""
     heads = [within_text(each.within) for each in next(iter(profiles.values())).intervals]
     table = Table("error along each", "fitted", "least error", *heads, title_justify="left")
     for name, profile in profiles.items():
@@ -102,7 +103,7 @@ def print_profiles(console: Console, profiles: Mapping[str, records.Profile], fi
 
 
 def print_front(console: Console, front: Sequence[records.FrontPoint]) -> None:
-    """Prints the front of false shadow against false light, and what its knee costs."""
+    """Prints the front of false shadow against false light, and the cost of its knee."""
     table = Table("false shadow", "false light", "RMSE", *map(escape, front[0].values), "", title_justify="left")
     for point in front:
         errors = (f"{error:.4f}" for error in (point.false_shadow, point.false_light, point.rmse))
@@ -113,7 +114,7 @@ def print_front(console: Console, front: Sequence[records.FrontPoint]) -> None:
 
 
 def print_validation(console: Console, views: int, errors: records.BeforeAndAfter) -> None:
-    """Prints the errors before and after a fit over views that it has not seen."""
+    """Prints the errors before and after a fit over the validation views."""
     table = _table(f"{counted(views, 'view')} for validation", "before", "after", "unit")
     _add_errors(table, errors)
     print_table(console, table)
@@ -169,7 +170,7 @@ def _print_starts(console: Console, result: FitResult) -> None:
 
 
 def print_shape(console: Console, record: records.ShapeRecord) -> list[str]:
-    """Prints how far a shape's shadows overlap their targets. **Returns** the sentences below the table."""
+    """Prints the overlap of a shape's shadows with their targets. **Returns** the sentences below the table."""
     measured = record.metrics
     heads = ("intersection over union", "before", "after, map", "after, rays")
     table = _table(record.name, *heads[1:], first=heads[0])
@@ -183,13 +184,13 @@ def print_shape(console: Console, record: records.ShapeRecord) -> list[str]:
         share = measured.chamfer / measured.size
         lines.append(f"Chamfer distance {measured.chamfer:.4g} world units, {share:.2%} of the shape's size")
     return lines + [
-        f"{light.light} is {light.after:.3f}° from its place in the scene, {light.before:.3f}° before"
+        f"{light.light} is {light.after:.3f}° from its position in the scene, {light.before:.3f}° before"
         for light in measured.moved
     ]
 
 
 def _table(title: str, *heads: str, first: str = "") -> Table:
-    """A table whose columns are numbers, but for the first one and for units."""
+    """A table whose columns hold numbers, except for the first column and the units."""
     table = Table(first, *heads, title=words(title), title_justify="left")
     for column in table.columns[1:]:
         column.justify = "left" if column.header == "unit" else "right"

@@ -23,11 +23,11 @@ Image = Float[HostArray, "h w"]
 Pixels = Bool[HostArray, "h w"]
 # The directions of a point light's six views, in the order of its layers.
 FACES = ("+x", "−x", "+y", "−y", "+z", "−z")
-# The colour scale of differences ends at the least of these limits that is exceeded by at most `_CLIPPED` of pixels.
+# The colour scale of differences ends at the smallest limit that at most this fraction of pixels exceeds (`_CLIPPED`).
 _LIMITS = (0.05, 0.1, 0.2, 0.5, 1.0)
 _CLIPPED = 0.01
 DIFFERENCE_LABEL = "too dark (−), too light (+) [visibility]"
-# The most parameters that are drawn.
+# The maximum number of parameters in the figure.
 _MAX_PARAMETERS = 16
 FEW_PARAMETERS = 6
 """Up to this many parameters are drawn in one column; more take two columns."""
@@ -39,7 +39,7 @@ Fit = VisibilityRun[FitRecord]
 
 
 def write_figures(run: StoredRun[Any], folder: Path, form: str = "png", dpi: int = style.DPI) -> list[Path]:
-    """Writes all figures of `run` that its arrays suffice for to `folder`, in the format `form`. **Returns** them."""
+    """Writes to `folder`, in the format `form`, all figures that the arrays of `run` allow. **Returns** the figures."""
     written = []
     for name, made in _figures(run):
         written.append(folder / f"{name}.{form}")
@@ -54,7 +54,7 @@ def _figures(run: StoredRun[Any]) -> Iterator[tuple[str, Figure]]:
         return
     for i, light in enumerate(run.shown):
         if is_fit(run):
-            # Only the first of several views has a shaded picture.
+            # If there are several views, only the first has a shaded picture.
             is_shaded = i == 0 or not run.is_of_views
             yield f"comparison{light.end}", comparison(light, run.shaded[-1:] if is_shaded else [])
             continue
@@ -73,7 +73,8 @@ def _figures(run: StoredRun[Any]) -> Iterator[tuple[str, Figure]]:
 
 
 def comparison(light: LightImages, result: Sequence[tuple[str, HostArray]]) -> Figure:
-    """The reference and each state; below each state its signed difference, below the reference the shaded `result`."""
+    """The reference and each state. Below each state is its signed difference, and below the reference the shaded
+    `result`."""
     height, width = light.reference.shape
     panel = 2.9
     columns = 1 + len(light.images)
@@ -129,7 +130,8 @@ def shaded(images: Sequence[tuple[str, HostArray]]) -> Figure:
 
 
 def difference_limit(lights: Sequence[LightImages], states: slice = slice(None)) -> tuple[float, str]:
-    """The limit of the colour scale for all images of `lights`, and whether some exceed it: `"both"`, `"neither"`."""
+    """The limit of the colour scale for all images of `lights`, and whether any difference exceeds it: `"both"`,
+    `"neither"`."""
     differences = [np.abs(image - light.reference)[light.mask] for light in lights for _, image in light.images[states]]
     together = np.concatenate([*differences, np.zeros(1)])
     least = np.quantile(together, 1 - _CLIPPED)
@@ -138,7 +140,8 @@ def difference_limit(lights: Sequence[LightImages], states: slice = slice(None))
 
 
 def write_from_light(folder: Path, end: str, technique: Any, from_light: Any) -> None:
-    """Writes what `technique` drew from a light: a shadow map or a texture. Other techniques draw no image."""
+    """Writes the image that `technique` drew from a light, such as a shadow map or a texture. Some techniques draw no
+    image."""
     match from_light:
         case shadow.ShadowMap() | shadow.EngineMap():
             write_shadow_map(folder / f"shadow_map{end}.png", from_light, map_figure(technique, from_light))
@@ -148,7 +151,7 @@ def write_from_light(folder: Path, end: str, technique: Any, from_light: Any) ->
 
 @eqx.filter_jit
 def _distances(shadow_map: shadow.ShadowMap | shadow.EngineMap) -> tuple[Float[Array, "*l h w"], Scalar, Scalar]:
-    """Distances along the light's axis of the map's depths, and of its near and far plane, in world units."""
+    """The distances of the map's depths along the light's axis, and of its near and far planes, in world units."""
     if isinstance(shadow_map, shadow.EngineMap):
         return shadow_map.distances
     view = shadow_map.view
@@ -156,7 +159,7 @@ def _distances(shadow_map: shadow.ShadowMap | shadow.EngineMap) -> tuple[Float[A
 
 
 def map_figure(technique: Any, from_light: Any) -> shadow.MapFigure | None:
-    """The layout's names of the layers of a map that `technique` drew; none if the layout has no names."""
+    """The layout's names for the layers of a map that `technique` drew. Empty if the layout has no names."""
     return technique.layout.map_figure(from_light.light) if isinstance(technique, shadow.ShadowMapping) else None
 
 
@@ -183,7 +186,7 @@ def _atlas(layers: Float[HostArray, "l h w"], count: int) -> Float[HostArray, "H
 
 
 def write_texture(path: Path, texture: shadow.ProjectiveTexture) -> None:
-    """Writes the texture as it is projected."""
+    """Writes the texture as the light projects it."""
     margin = texture.margin
     inside = np.asarray(texture.coverage)[..., margin:-margin, margin:-margin]
     write_map(path, "Projective texture", 1 - inside, "light let through (0 none, 1 all)", vmin=0.0, vmax=1.0)
@@ -199,8 +202,8 @@ def write_map(
     cmap: str = "gray",
     **limits: float,
 ) -> None:
-    """Writes a light's map (h, w), or the layers of one, (l, h, w), with axes in texels. Layers have the names `named`,
-    or otherwise the names of the faces of a point light's map."""
+    """Writes a light's map (h, w), or the layers of a map (l, h, w), with axes in texels. `named` has the names of the
+    layers. By default, they are the names of the faces of a point light's map."""
     names = FACES
     if named is not None and named.layers is None:
         values = _atlas(values, named.used)
@@ -258,7 +261,7 @@ def _loss(run: Fit) -> Figure:
 
 
 def convergence(runs: Sequence[tuple[str, Fit]]) -> Figure:
-    """The error over several fits: lines for the solver's loss, diamonds for the hard compare between phases."""
+    """The error over several fits. Lines show the solver's loss, and diamonds show the hard compare between phases."""
     figure, (axes,) = style.figure(6.4, 3.6)
     style.chart(axes, "evaluations of the loss", error_label([run for _, run in runs]))
     for i, (label, run) in enumerate(runs):
@@ -274,13 +277,13 @@ def convergence(runs: Sequence[tuple[str, Fit]]) -> Figure:
 
 
 def error_label(runs: Sequence[Fit]) -> str:
-    """The axis for the errors in `history` of these fits."""
+    """The axes for the errors in `history` of these fits."""
     own = {run.record.solver.is_own_loss for run in runs}
     return "loss" if own == {True} else "RMSE [visibility]" if own == {False} else "RMSE [visibility], or loss"
 
 
 class History(NamedTuple):
-    """The evaluations of a fit for the best of its starts: the `error` is the root of the loss, or a user's loss."""
+    """The evaluations of a fit for its best start. The `error` is the root of the loss, or a user's loss."""
 
     phase: HostArray
     error: HostArray
@@ -306,7 +309,7 @@ def _hard_errors(record: FitRecord) -> list[float]:
 
 
 def parameters(run: Fit) -> Figure:
-    """Every parameter over a fit, with its bounds if they are near, the truth if it is known, and the result."""
+    """Every parameter over a fit, with the result, nearby bounds, and the truth if it is known."""
     record, recorded = run.record, history(run)
     names, truth = list(record.fitted)[:_MAX_PARAMETERS], record.truth
     columns = 1 if len(names) <= FEW_PARAMETERS else 2
@@ -333,7 +336,7 @@ def parameters(run: Fit) -> Figure:
 
 
 def profiles(run: Fit) -> Figure:
-    """The error along each parameter divided by the best error, with intervals and the result."""
+    """The error along each parameter divided by the minimum error, with intervals and the result."""
     record = run.record
     found, fractions = list(record.profiles.items())[:_MAX_PARAMETERS], record.widths
     columns = min(len(found), 3)
@@ -372,7 +375,7 @@ def front(run: Fit) -> Figure:
 
 
 def _show_bounds(axes: Axes, values: Sequence[float], lower: float, upper: float) -> None:
-    """Marks the bounds that are near `values`, and sets the limits of the y-axis."""
+    """Marks the bounds near `values`, and sets the limits of the y-axis."""
     low, high = float(np.min(values)), float(np.max(values))
     margin = max(high - low, 1e-3 * (upper - lower)) * 0.5
     for bound, near in ((lower, lower >= low - margin), (upper, upper <= high + margin)):
@@ -384,7 +387,7 @@ def _show_bounds(axes: Axes, values: Sequence[float], lower: float, upper: float
 
 
 def _picture_loss(run: StoredRun[PictureRecord]) -> Figure:
-    """The error of a fit to a picture at each evaluation, one colour a phase."""
+    """The error of a fit to a picture at each evaluation, with one colour for each phase."""
     figure, (axes,) = style.figure(6.4, 3.1)
     style.chart(axes, "evaluation", "RMSE under the blur")
     error, phase = np.sqrt(np.maximum(run.arrays["history_loss"], 0)), run.arrays["history_phase"]
@@ -397,7 +400,7 @@ def _picture_loss(run: StoredRun[PictureRecord]) -> Figure:
 
 
 def _shape_loss(run: StoredRun[ShapeRecord]) -> Figure:
-    """The loss of a fit of a shape at each step, and the judge's at the ends of phases."""
+    """The loss of a fit of a shape at each step, and the loss of the judge at the ends of phases."""
     figure, (axes,) = style.figure(6.4, 3.1)
     style.chart(axes, "step", "RMSE [visibility]")
     error, phase = np.sqrt(np.maximum(run.arrays["history_loss"], 0)), run.arrays["history_phase"]
@@ -413,7 +416,7 @@ def _shape_loss(run: StoredRun[ShapeRecord]) -> Figure:
 
 
 def _mark_phases(axes: Axes, course: Course, recorded: History, *, widths: bool = True) -> list[float]:
-    """Shades every other phase, and writes the width of its compare, or the blur of its images, above it.
+    """Shades every second phase, and writes the width of its compare or the blur of its images above it.
 
     **Returns** the x-coordinates of the start of the fit and the end of each phase.
     """
@@ -429,7 +432,7 @@ def _mark_phases(axes: Axes, course: Course, recorded: History, *, widths: bool 
         if widths and ends[-1] - first > _NARROW * count:
             kind = "width" if phase.width else "blur" if phase.blur else ""
             label = f"{phase.width or phase.blur:.2g}" if kind else "search" if phase.searched else "hard"
-            # What the numbers are is written once.
+            # Says only once what the numbers mean.
             style.text(axes, (first + ends[-1]) / 2, label if kind in ("", named) else f"{kind} {label}")
             named = kind or named
     return ends
@@ -441,7 +444,7 @@ def _by_phase(recorded: History) -> list[HostArray]:
 
 
 def single(image: HostArray, ticks: bool = False) -> tuple[Figure, Axes]:
-    """A figure for one image of the shape of `image`, and its axes."""
+    """A figure for one image with the shape of `image`, and its axes."""
     height, width = image.shape
     figure, (axes,) = style.figure(5.4, min(max(4.3 * height / width, 1.6), 12.0) + (0.6 if ticks else 0.3))
     return figure, axes

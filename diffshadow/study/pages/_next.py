@@ -1,4 +1,4 @@
-"""What to do after a run: commands that its page shows, and that the terminal prints."""
+"""The commands to run after a run. Its page shows them, and the terminal prints them."""
 
 import shlex
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ from ...settings.engines import ENGINES, EngineName
 from ..record._folder import final_folder
 from ..record._runs import FitRecord, FolderRecord
 
-# The technique whose bias the command convert reads.
+# The technique that the command convert reads the bias of.
 _CONVERTED = "shadow_map"
 _SCENE = "builtin:quickstart"
 _FIRST_ENGINE: EngineName = "three.js"
@@ -18,11 +18,11 @@ _OTHERS = ", ".join(name for name in ENGINES if name != _FIRST_ENGINE)
 
 
 def for_engine(source: Path | str, overrides: Sequence[str] = (), engine: EngineName | None = None) -> Command:
-    """The command that recommends settings of an engine for the views of `source`. Without an engine, the command is
-    for three.js, and its sentence names the others."""
+    """The command that recommends settings of an engine for the views of `source`. Without an engine, it is for
+    three.js, and the sentence names the other engines."""
     name = engine or _FIRST_ENGINE
     others = "" if engine else f"; or for {_OTHERS}"
-    why = f"Find the best bias and filter that {ENGINES[name]} has, with the code to paste{others}."
+    why = f"Find the best bias and filter for {ENGINES[name]}, with code to paste{others}."
     return Command(why, ["advise", source, *overrides, "--engine", name])
 
 
@@ -36,12 +36,12 @@ def _figures(folder: Path) -> Command:
 
 
 def after_run(folder: Path, record: FolderRecord, technique: str | None = None) -> list[Command]:
-    """The commands after a fit or a render, the most useful first.
+    """The commands after a fit or a render. The most useful command comes first.
 
     **Arguments:**
 
     - `folder`: the run's folder, with its files; `record`: the run's record.
-    - `technique`: the technique that was fitted to visibility or rendered; none without a configuration.
+    - `technique`: the technique that was fitted to visibility or rendered, or `None` without a configuration.
     """
     place, is_fit, is_fitted = final_folder(folder), isinstance(record, FitRecord), (folder / FITTED_FILE).is_file()
     again = []
@@ -78,12 +78,13 @@ def after_comparison(folders: Sequence[Path], page: Path) -> list[Command]:
 
 
 def _again(command: str) -> Command:
-    """The command of a sweep, whose paths are absolute."""
-    return Command("Do it again; runs that are done are kept.", shlex.split(command)[1:])
+    """The command of a sweep, with absolute paths."""
+    return Command("Run it again; finished runs are kept.", shlex.split(command)[1:])
 
 
 def after_advice(folder: Path, engine: EngineName | None, command: str) -> list[Command]:
-    """The commands after a recommendation in `folder`, for an engine or for any renderer; `command` made it."""
+    """The commands after a recommendation in `folder`, for an engine or for any renderer. `command` made the
+    recommendation."""
     recommended = folder / RECOMMENDED_FILE
     others = [for_engine(recommended)] if engine is None else []
     return [
@@ -101,20 +102,20 @@ def after_sweep(folder: Path, kind: str, best: Path | None, command: str) -> lis
     **Arguments:**
 
     - `folder`: the sweep's folder; `kind`: `"fit"` or `"render"`.
-    - `best`: the folder of the run with the least RMSE, if there is one.
+    - `best`: the folder of the run with the lowest RMSE, if there is one.
     - `command`: the sweep's command.
     """
-    why = "Do the run with the least RMSE, with all pictures."
+    why = "Repeat the run with the lowest RMSE, with all pictures."
     run = [] if best is None else [Command(why, [kind, best / CONFIG_FILE]), to_view(best / CONFIG_FILE)]
     return [*run, _figures(folder), _again(command)]
 
 
 def after_defaults(filter: str | None, radius: float | None, engine: EngineName | None) -> list[Command]:
-    """The commands after rules of thumb for the `filter` and the `engine`. They fit the package's own scene, since no
-    scene of the user's is known."""
+    """The commands after rules of thumb for the `filter` and the `engine`. They fit the package's scene, because the
+    user's scene is unknown."""
     overrides = [] if filter is None else [f"filter.type={filter}"]
     overrides += [] if radius is None else [f"filter.radius={radius:g}"]
-    why = "Fit the bias to a scene; in place of builtin:quickstart, give your mesh file."
+    why = "Fit the bias to a scene; replace builtin:quickstart with your mesh file."
     return [
         Command(why, ["fit", _SCENE, *overrides]),
         for_engine(_SCENE, engine=engine),

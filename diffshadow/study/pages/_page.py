@@ -1,4 +1,4 @@
-"""Self-contained pages, and the pictures in them."""
+"""Self-contained pages and their pictures."""
 
 import base64
 import struct
@@ -14,7 +14,7 @@ from ..._types import HostArray
 from ...config import printable
 from .. import style
 
-# Pictures with more pixels along a side are downsampled, so that pages stay a few megabytes.
+# Pictures with more pixels per side are downsampled, so that pages stay below a few megabytes.
 _MAX_PIXELS = 768
 # Pixels per inch in CSS.
 _SCREEN_DPI = 96
@@ -22,11 +22,11 @@ _MEDIA = {".png": "image/png", ".svg": "image/svg+xml", ".webp": "image/webp"}
 
 
 class Picture(NamedTuple):
-    """A picture of a page.
+    """A picture on a page.
 
     - `name`: its name in the slider; `title`, `note`: its caption.
     - `data`: the picture as a data URI; `width`, `height`: in pixels.
-    - `slides`: whether it can be chosen in the slider.
+    - `slides`: whether the slider offers it.
     """
 
     name: str
@@ -61,7 +61,7 @@ def _smaller(image: HostArray) -> HostArray:
 
 
 class Scale(NamedTuple):
-    """The colour scale of differences; `beyond`: whether some differences exceed it."""
+    """The colour scale of differences. `beyond` says whether some differences exceed it."""
 
     low: str
     middle: str
@@ -95,7 +95,7 @@ def data_uri(content: bytes, suffix: str) -> str:
 
 
 def lines_of(text: str) -> Markup:
-    """`text` as HTML, with its line ends; other unprintable characters are escaped."""
+    """`text` as HTML, with its line breaks. Other unprintable characters are escaped."""
     return Markup("\n").join(printable(line) for line in text.splitlines())
 
 
@@ -105,7 +105,7 @@ def _shown(value: Any) -> Any:
 
 
 def write_page(path: Path, template: str, **values: Any) -> None:
-    """Renders `template` with `values`, and writes the page to `path` atomically. A page in Markdown has no escapes.
+    """Renders `template` with `values`, and writes the page to `path` atomically. A page in Markdown is not escaped.
 
     **Raises** `FileError` if it cannot be written.
     """

@@ -17,15 +17,15 @@ from ...geometry import AbstractLight, Mesh, Scene, face_colours
 from .. import style
 
 Track = Float[HostArray, "n 3"]
-# Margin round the drawing, as a fraction of its extent.
+# The margin around the drawing, as a fraction of its extent.
 _MARGIN = 0.06
 
 
 def write_paths(path: Path, scene: Scene, result: fit.FitResult, truth: Mapping[str, float]) -> None:
     """Draws the scene from above and from the side, with the path of each light and mesh from start to end.
 
-    A light at infinity is drawn on a dome round the scene, in the direction it comes from. `truth`: as far as it is
-    known, by the names of parameters.
+    A light at infinity is drawn on a dome around the scene, in its direction. `truth` has the known values, by the
+    names of parameters.
     """
     listed = lambda values: np.asarray([values[p.name] for p in result.parameters])
     values = np.stack([listed(result.initial), *_steps_of_best(result), listed(result.fitted)])
@@ -62,13 +62,13 @@ def _steps_of_best(result: fit.FitResult) -> list[HostArray]:
 
 
 def _movers(names: Sequence[str], result: fit.FitResult) -> list[str]:
-    """The lights and meshes that the fit moves, such as `lights.0`: of lights, only those with an image."""
+    """The lights and meshes that the fit moves, such as `lights.0`. Only lights with an image are included."""
     moved = dict.fromkeys(".".join(n.split(".")[:2]) for n in names if not n.startswith("technique."))
     return [key for key in moved if key.startswith("meshes.") or int(key.split(".")[1]) in _lights(result)]
 
 
 def _lights(result: fit.FitResult) -> dict[int, AbstractLight]:
-    """The lights of the fit's images, by their index."""
+    """The lights of the fit's images, by index."""
     problems: tuple[Any, ...] = result.problems
     return {problem.index: problem.scene.light for problem in problems}
 
@@ -76,7 +76,7 @@ def _lights(result: fit.FitResult) -> dict[int, AbstractLight]:
 def _places(
     result: fit.FitResult, names: Sequence[str], values: Any, key: str, scene: Scene
 ) -> list[Float[HostArray, "3"]]:
-    """The position of the light or mesh `key` for each of `values` (n, p), counted from the scene's origin."""
+    """The position of the light or mesh `key` for each of `values` (n, p), relative to the scene's origin."""
     kind, index = key.split(".")
     arrangement, lights = result.arrangement, _lights(result)
     everything = scene.mesh.bounds
@@ -99,7 +99,7 @@ def _places(
 def _scene(axes: Axes, meshes: Sequence[Mesh], across: int, up: int) -> None:
     corners = np.concatenate([np.asarray(mesh.vertices)[np.asarray(mesh.faces)] for mesh in meshes])
     colours = np.concatenate([face_colours(mesh) for mesh in meshes])
-    # Draw back to front.
+    # Drawn from back to front.
     order = np.argsort(corners.mean(axis=1)[:, 3 - across - up])
     faces = corners[order][:, :, [across, up]]
     axes.add_collection(PolyCollection(list(faces), facecolors=colours[order], edgecolors="none", alpha=0.55))
@@ -119,7 +119,7 @@ def _track(axes: Axes, track: Track, truth: HostArray | None, across: int, up: i
 
 
 def _from(origin: float) -> str:
-    """What a coordinate is counted from, as a part of an axis' label."""
+    """The origin of a coordinate, for an axis label."""
     return f" {'-' if origin > 0 else '+'} {abs(origin):.15g}" if origin else ""
 
 

@@ -1,4 +1,4 @@
-"""The pages of runs, each made of its folder's files.
+"""The pages of runs. Each page is made from the files in a run's folder.
 
 This module loads Matplotlib, so import it only to write pages.
 """
@@ -24,9 +24,9 @@ from ._next import after_run
 from ._page import Picture, Scale, data_uri, difference_scale, file_pictures, lines_of, picture, write_page
 from ._table import ERRORS, LIGHT_ERRORS, UNITS, cells, interval_text, knee_text, noise_text, number, within_text
 
-# Figures in the folder that the page draws itself.
+# Files in the folder that the page draws itself.
 _SHOWN = ("profiles", "front", "comparison", "shaded", "loss", "parameters", "visibility", "reference", "difference")
-# Techniques whose name alone does not say what is drawn.
+# Techniques whose reports also name the filter.
 _FILTERED = ("shadow_map", "cascades", "perspective_warp", "resolution_matched")
 _HEADINGS = {
     "paths": "How lights and meshes moved",
@@ -44,7 +44,7 @@ _ANIMATIONS = {
 
 
 def write_report(run: StoredRun[Any], form: str | None = None, dpi: int = style.DPI) -> Path:
-    """Writes the page of `run` to its folder, and its figures beside it if a format `form` is given.
+    """Writes the page of `run` to its folder, and its figures if a format `form` is given.
 
     **Returns** the page.
     """
@@ -56,7 +56,7 @@ def write_report(run: StoredRun[Any], form: str | None = None, dpi: int = style.
 
 
 class View[Of: records.FolderRecord]:
-    """What the page of a run shows. Texts are written as on the page."""
+    """The contents of a run's page. Texts are as on the page."""
 
     template: ClassVar[str]
 
@@ -66,7 +66,7 @@ class View[Of: records.FolderRecord]:
 
     @property
     def summary(self) -> list[str]:
-        """The verdict on the fit, sentence by sentence; for an older run without a verdict, its errors."""
+        """The verdict on the fit, one sentence each, or its errors for an older run without a verdict."""
         said = self.record.said
         if said is None:
             return self.without_verdict
@@ -79,13 +79,13 @@ class View[Of: records.FolderRecord]:
 
     @property
     def environment(self) -> list[tuple[str, Any, str]]:
-        """Name and value of everything that the run depended on, apart from its settings."""
+        """Name and value of every input of the run except its settings."""
         seed = {} if self.record.seed is None else {"seed": self.record.seed}
         return [(name, value, "") for name, value in {**self.record.versions, **seed}.items()]
 
     @property
     def seconds(self) -> list[tuple[str, str, str]]:
-        """How long each stage took."""
+        """The time of each stage."""
         return [(name, f"{value:.2f}", "s") for name, value in self.record.seconds.items()]
 
     @property
@@ -94,14 +94,14 @@ class View[Of: records.FolderRecord]:
         return after_run(self.run.folder, self.record)
 
     def chart(self, name: str) -> str:
-        """The figure that `figures` draws by this name."""
+        """The figure with this name in `figures`."""
         return style.inline_svg(getattr(figures, name)(self.run), name)
 
 
 class FittedNumber(NamedTuple):
-    """A parameter before and after a fit; for poses and pictures also the truth and the standard deviation.
+    """A parameter before and after a fit. For poses and pictures, also the truth and the standard deviation.
 
-    - `best`, `intervals`: the value with the least error, and the intervals in which the error is close to the least.
+    - `best`, `intervals`: the value with the lowest error, and the intervals in which the error is close to the lowest.
     """
 
     name: str
@@ -119,7 +119,7 @@ class FittedNumber(NamedTuple):
 def _fitted(
     record: records.FitRecord | records.PictureRecord, digits: tuple[int, int], deviation: str
 ) -> Iterator[FittedNumber]:
-    """Each parameter; `digits` of its start and of its result, and the form of its standard deviation."""
+    """Each parameter. `digits` is the number of digits of its start and result."""
     for name, value in record.fitted.items():
         bounds, spread = record.bounds[name], record.deviations.get(name)
         text = lambda value, digits, bounds=bounds: text_within(value, bounds.lower, bounds.upper, digits)
@@ -137,14 +137,14 @@ def _fitted(
 
 
 def _sureness(profile: records.Profile | None) -> tuple[str, tuple[str, ...]]:
-    """Where a parameter's error is least, and where it is close to that."""
+    """The value with the lowest error, and the intervals in which the error is close to it."""
     if profile is None:
         return "", ()
     return f"{profile.best.value:.4g}", tuple(interval_text(each.lower, each.upper) for each in profile.intervals)
 
 
 class ErrorRow(NamedTuple):
-    """An error of every state, and of the reference itself."""
+    """An error of every state, and the error of the reference itself."""
 
     label: str
     numbers: list[str]
@@ -200,12 +200,12 @@ class VisibilityView[Of: records.VisibilityRecord](View[Of]):
 
     @property
     def noise(self) -> str:
-        """The reference's own error, in words."""
+        """The error of the reference itself, in words."""
         return noise_text(self.record.metrics.reference_noise_floor)
 
     @cached_property
     def by_light(self) -> list[LightRow]:
-        """The errors of each light or view; views are sorted, the worst first."""
+        """The errors of each light or view. Views are sorted with the worst first."""
         rows = []
         for each, light in zip(self.run.lights, self.record.metrics.lights, strict=True):
             first, last = each.errors[0], each.errors[-1]
@@ -216,7 +216,7 @@ class VisibilityView[Of: records.VisibilityRecord](View[Of]):
 
     @cached_property
     def lights(self) -> list[LightPictures]:
-        """The pictures of each light or view that has pictures."""
+        """The pictures of each light or view, if it has pictures."""
         return [self._light(light) for light in self.run.shown]
 
     def _light(self, light: LightImages) -> LightPictures:
@@ -235,17 +235,17 @@ class VisibilityView[Of: records.VisibilityRecord](View[Of]):
 
     @property
     def scale(self) -> Scale:
-        """Of differences."""
+        """The colour scale of differences."""
         return difference_scale(self.limit, self.extend == "both")
 
     @cached_property
     def shaded(self) -> list[Picture]:
-        """The shaded pictures, the result last."""
+        """The shaded pictures, with the result last."""
         return [picture(f"{title}, shaded", image, title=title) for title, image in self.run.shaded]
 
     @property
     def slides(self) -> list[str]:
-        """The pictures that the slider begins with."""
+        """The pictures that the slider shows first."""
         return [p.name for p in (self.shaded or self.lights[0].visibility)[-2:]]
 
     @property
@@ -268,14 +268,14 @@ class RenderView(VisibilityView[records.RenderRecord]):
     def summary(self) -> list[str]:
         technique, kernel = self.settings["technique.type"], self.settings["filter.type"]
         name = f"{technique} with filter {kernel}" if technique in _FILTERED else technique
-        # The names of engines are written as they are.
+        # Names of engines are not converted.
         name = name if "." in technique else name.replace("_", " ").capitalize()
         return [f"{name}: the shadow's error is {self.record.metrics.errors.rmse:.4f} RMSE."]
 
     @property
     def aliasing(self) -> list[tuple[str, str, list[str]]]:
-        """Figures of the size of texels on the screen, for each light that has such figures: the light's key, and the
-        name and texts of the figures."""
+        """The figures of the texels' sizes on the screen, for each light that has them: the light's key, and the name
+        and texts of the figures."""
         rows = []
         for light in self.record.metrics.lights:
             if light.aliasing is not None:
@@ -303,7 +303,7 @@ class FitView(VisibilityView[records.FitRecord]):
 
     @property
     def validation(self) -> list[ErrorRow]:
-        """Each error before and after the fit, over the views that the fit has not seen."""
+        """Each error before and after the fit, over the validation views."""
         found = self.record.metrics.validation
         if found is None:
             return []
@@ -317,15 +317,15 @@ class FitView(VisibilityView[records.FitRecord]):
 
     @property
     def front(self) -> Iterator[tuple[list[str], bool]]:
-        """The settings of the front of false shadow against false light: errors and values, and whether it is the
-        knee."""
+        """The settings on the front of false shadow against false light: errors and values, and whether the setting is
+        the knee."""
         for point in self.record.front:
             errors = (number("rmse", error) for error in (point.false_shadow, point.false_light, point.rmse))
             yield [*errors, *(f"{value:.4g}" for value in point.values.values())], point.is_knee
 
     @property
     def knee(self) -> list[str]:
-        """What the knee of the front costs, in words."""
+        """The cost of the front's knee, in words."""
         return knee_text(self.record.front)
 
     @property
@@ -340,7 +340,7 @@ class FitView(VisibilityView[records.FitRecord]):
         return number("rmse", None if loss is None else loss**0.5)
 
     def numbers(self, values: dict[str, float]) -> list[str]:
-        """Texts of values of the parameters, by name."""
+        """Texts of the parameters' values, by name."""
         bounds = self.record.bounds
         return [text_within(value, bounds[name].lower, bounds[name].upper) for name, value in values.items()]
 
@@ -366,7 +366,7 @@ class PictureView(View[records.PictureRecord]):
     @property
     def summary(self) -> list[str]:
         colours = "sRGB" if self.record.encoding == "srgb" else "linear"
-        over = f"Errors are of {colours} colours, over {counted(self.record.metrics.pixels, 'pixel')}."
+        over = f"Errors compare {colours} colours over {counted(self.record.metrics.pixels, 'pixel')}."
         return [*super().summary, over]
 
     @property
@@ -388,7 +388,7 @@ class PictureView(View[records.PictureRecord]):
 
     @property
     def differences(self) -> Iterator[Picture]:
-        """The mean differences of the channels, where they count."""
+        """The mean differences of the channels at the pixels that count."""
         arrays = self.run.arrays
         for state in ("before", "after"):
             difference = np.where(arrays["mask"], (arrays[state] - arrays["reference"]).mean(axis=-1), 0)

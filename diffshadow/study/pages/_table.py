@@ -1,4 +1,4 @@
-"""Numbers and sentences in tables, and tables that are printed. They are readable without colour."""
+"""Numbers and sentences in tables, and printed tables. Both are readable without colour."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -19,10 +19,10 @@ LIGHT_ERRORS = {
     "false_shadow_rate": "false shadow (acne)",
     "false_light_rate": "false light (leaks, Peter-panning)",
 }
-"""The names of the errors of each light's visibility in tables and reports. Smaller is better, except for SSIM."""
+"""The names of the errors of each light's visibility in tables and reports. Lower is better, except for SSIM."""
 
 ERRORS = {**LIGHT_ERRORS, "flip": "FLIP of the shaded picture"}
-"""The names of all errors; the last is of the picture under all lights."""
+"""The names of all errors. The last is the error of the picture under all lights."""
 
 UNITS = {
     "rmse": "visibility",
@@ -34,7 +34,7 @@ UNITS = {
 }
 """The units of errors."""
 
-# Errors below this, in visibility, are rounding.
+# Errors of visibility below this value are rounding errors.
 _MIN_ERROR = 1e-5
 
 
@@ -58,19 +58,19 @@ def words(text: str) -> Text:
 def noise_text(noise_floor: float | None) -> str:
     """A phrase about the error of the reference itself."""
     if noise_floor is None:
-        return "the reference's own error is unknown, since it was given, not traced"
+        return "the reference's own error is unknown, because it was not traced"
     return f"the reference's own noise is {noise_floor:.4f} RMSE"
 
 
 def knee_text(front: Sequence[FrontPoint]) -> list[str]:
-    """What the knee of a front costs in RMSE, in a sentence; none without a knee, or for a front without RMSEs."""
+    """The RMSE cost of a front's knee, as a sentence. Empty without a knee, or for a front without RMSEs."""
     errors = [point.rmse for point in front if point.rmse is not None]
     at_knee = [point.rmse for point in front if point.is_knee and point.rmse is not None]
     if not at_knee:
         return []
     (knee,), least = at_knee, min(errors)
     more = knee / max(least, _MIN_ERROR) - 1
-    cost = f"{more:.1%} more than the least of the front, {least:.4f}" if knee > least else "the least of the front"
+    cost = f"{more:.1%} more than the lowest of the front, {least:.4f}" if knee > least else "the lowest of the front"
     return [f"at the knee, the RMSE is {knee:.4f}, {cost}"]
 
 
@@ -80,12 +80,12 @@ def within_text(within: float) -> str:
 
 
 def interval_text(*ends: End) -> str:
-    """The two ends of an interval; an end is marked if it is a parameter's bound."""
+    """The two ends of an interval. An end at a parameter's bound is marked."""
     return " to ".join(f"{end.value:.3g}{' (bound)' if end.is_bound else ''}" for end in ends)
 
 
 def print_comparison(console: Console, labels: Sequence[str], parts: Sequence[Sequence[Sequence[str]]]) -> None:
-    """Prints rows of a name, a text for each of the runs named `labels`, and a unit. Each part is a section."""
+    """Prints rows with a name, a text for each of the runs `labels`, and a unit. Each part is a section."""
     table = Table()
     table.add_column("")
     for label in labels:
@@ -99,7 +99,7 @@ def print_comparison(console: Console, labels: Sequence[str], parts: Sequence[Se
 
 
 def print_settings(console: Console, title: str, settings: Sequence[EngineSetting]) -> None:
-    """Prints the settings of engines, one on each line; on a narrow console, with the value on a line of its own."""
+    """Prints the settings of engines, one per line. On a narrow console, the value has its own line."""
     notes = [each.note + ("" if each.is_verified else "; not verified against the engine") for each in settings]
     lines = [
         f"  {each.engine:<12}{each.setting:<37}{_value(each):>11}  {note}"
@@ -119,7 +119,7 @@ def _value(setting: EngineSetting) -> str:
 
 
 def print_rows(console: Console, errors: Mapping[str, Mapping[str, float | None]]) -> None:
-    """Prints RMSE and rates of several techniques, one on each line."""
+    """Prints RMSE and rates of several techniques, one per line."""
     shown = {"rmse": "RMSE", "false_shadow_rate": "false shadow", "false_light_rate": "false light"}
     for name, of in errors.items():
         numbers = ", ".join(f"{what} {number(key, of[key])}" for key, what in shown.items())
@@ -139,7 +139,7 @@ def print_code(console: Console, title: str, code: str) -> None:
 
 
 def print_lines(console: Console, lines: Sequence[str], *, warn: bool = False) -> None:
-    """Prints sentences under a table, prefixed with "warning: " if `warn`."""
+    """Prints sentences under a table, with the prefix "warning: " if `warn`."""
     for line in map(printable, lines):
         text = Text.assemble(("warning: ", "bold yellow"), line) if warn else Text(line)
         console.print(text, soft_wrap=True)

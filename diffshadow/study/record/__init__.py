@@ -1,2 +1,1 @@
-"""Records of finished runs, sweeps and recommendations: their content, and how they are stored in a folder and read
-again."""
+"""Records of finished runs, sweeps and recommendations, and their storage in folders."""

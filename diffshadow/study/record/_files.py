@@ -1,4 +1,5 @@
-"""Writes and reads records: `result.json`, checked as strictly as a configuration, so that readers can rely on it."""
+"""Writes and reads records (`result.json`). Both are checked as strictly as a configuration, so that readers can rely
+on them."""
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
@@ -16,17 +17,17 @@ from ._sweeps import AdviseRecord, SweepRecord
 
 SCHEMA_VERSION = 1
 Record = FolderRecord | SweepRecord | AdviseRecord
-"""What a folder's `result.json` holds."""
+"""The content of a folder's `result.json`."""
 _KINDS: Mapping[str, type[Record]] = {
     each.model_fields["kind"].default: each
     for each in (RenderRecord, FitRecord, PictureRecord, ShapeRecord, SweepRecord, AdviseRecord)
 }
 # Far more than any run writes.
 _MAX_BYTES = 64 << 20
-# Keys that stand before and after all others, so that a fit's verdict is seen first.
+# Keys that come before and after all others, so that readers see a fit's verdict first.
 _FIRST, _LAST = ("schema_version", "verdict", "name", "kind"), ("warnings", "seconds", "versions", "seed", "command")
 _PYDANTIC = "Input should be "
-# Plain words for pydantic's messages, which name Python's types.
+# Plain words for pydantic's messages, which name Python types.
 _EXPECTED = {
     "model_type": "a section with keys",
     "dict_type": "a section with keys",
@@ -47,7 +48,7 @@ def read_json(file: Path) -> Any:
     try:
         # Reading anything else, such as a pipe, could block forever.
         if not file.is_file():
-            raise io.FileError(f"there is no file {file}; expected what a run wrote: run it again")
+            raise io.FileError(f"there is no file {file}; expected a file of a run: run it again")
         if file.stat().st_size > _MAX_BYTES:
             raise io.FileError(
                 f"{file} has {file.stat().st_size:,} bytes; expected at most {_MAX_BYTES:,}: run it again"
@@ -56,7 +57,7 @@ def read_json(file: Path) -> Any:
     except io.FileError:
         raise
     except (OSError, ValueError) as error:
-        raise io.FileError(f"{file} is damaged ({error}); expected what a run wrote: run it again") from error
+        raise io.FileError(f"{file} is damaged ({error}); expected a file of a run: run it again") from error
 
 
 def json_of(stored: Any) -> bytes:
@@ -96,8 +97,8 @@ def read_record(folder: Path) -> Record:
     kind = found.get("kind") if isinstance(found, dict) else None
     if not isinstance(kind, str) or kind not in _KINDS:
         raise io.FileError(
-            f"{file} is not of a fit, render, sweep or recommendation; expected one of these: runs inside a sweep keep "
-            "only numbers, unless sweep.figures is true"
+            f"{file} is not the record of a fit, render, sweep or recommendation; expected one of these: runs inside "
+            "a sweep store only numbers, unless sweep.figures is true"
         )
     try:
         return _KINDS[kind].model_validate(found)
@@ -121,13 +122,13 @@ def _first(error: ValidationError) -> str:
     if first["type"] == DISAGREES:
         return f"{message}{more}"
     if first["type"] == "missing":
-        return f"{key} is missing; expected what a run wrote{more}"
+        return f"{key} is missing; expected a file of a run{more}"
     expected = _EXPECTED.get(first["type"])
     if expected is not None:
         expected = expected.format(**first.get("ctx", {}))
     elif message.startswith(_PYDANTIC):
         expected = message.removeprefix(_PYDANTIC)
     else:
-        # A fault of a section of the configuration, whose message says what was expected.
+        # A fault of a configuration's section. Its message says what was expected.
         return f"{key}: {message}{more}"
     return f"{key} is {short(json.dumps(first['input'], default=str))}; expected {expected}{more}"

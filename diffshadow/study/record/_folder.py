@@ -1,4 +1,4 @@
-"""Atomic writes of a run's folder: it is written completely or not at all."""
+"""Atomic writes of a run's folder. The folder is written completely or not at all."""
 
 import contextlib
 import os
@@ -14,7 +14,7 @@ from ...config import RESULT_FILE as RESULT
 from ...config import Config, ConfigError, Mistake
 from ._files import read_json
 
-# What `write_whole` adds to a folder's name: a dot, a dash with a token, and the suffix of an older run.
+# The suffixes that `write_whole` adds to a folder's name: a dot, a dash with a token, and the suffix of an older run.
 _TOKEN_BYTES = 6
 _OLD = "-old"
 _ADDED = len(f".-{'0' * 2 * _TOKEN_BYTES}{_OLD}")
@@ -24,10 +24,10 @@ _LONGEST_FILE = 80
 
 
 class _Fault(NamedTuple):
-    """Why a run cannot be written to its folder.
+    """The reason why a run cannot be written to its folder.
 
-    - `key`: key of the configuration, which sets that part of the path; `what`: the message.
-    - `otherwise`: which keys to change instead of the files that are there.
+    - `key`: the key of the configuration that sets this part of the path; `what`: the message.
+    - `otherwise`: the keys to change if the existing files are to stay.
     """
 
     key: str
@@ -67,7 +67,7 @@ def checked_folder(path: str | os.PathLike[str]) -> Path:
 
 
 def _fault_of(folder: Path) -> _Fault | None:
-    """Why a run cannot be written to `folder`, whose path is not too long; none if it can."""
+    """The reason why a run cannot be written to `folder`, whose path is not too long. `None` if it can."""
     try:
         io.check_writable(folder.parent)
         is_run = folder.is_dir() and ((folder / RESULT).is_file() or not any(folder.iterdir()))
@@ -84,7 +84,7 @@ def _fault_of(folder: Path) -> _Fault | None:
 
 
 def _too_long(folder: Path) -> _Fault | None:
-    """Which names or paths of the run in `folder` are too long for the file system."""
+    """The names or paths of the run in `folder` that are too long for the file system."""
     absolute = Path(os.path.abspath(folder))
     existing = next(level for level in absolute.parents if os.path.isdir(level))
     longest, path = len(os.fsencode(absolute.name)) + _ADDED, len(os.fsencode(absolute)) + _ADDED + _LONGEST_FILE
@@ -105,7 +105,7 @@ def write_whole(folder: Path, write: Callable[[Path], None]) -> None:
     An earlier run at `folder` is kept until `write` has returned. Then its files are removed, and any other files in
     the folder are moved to the new one. If `write` raises, its files are removed. A link to a folder remains a link.
 
-    **Raises** `FullDiskError` if no space is left, and what `write` raises.
+    **Raises** `FullDiskError` if no space is left, and the errors of `write`.
     """
     folder = folder.resolve() if folder.is_dir() else folder
     made: list[Path] = []
@@ -138,7 +138,7 @@ def write_whole(folder: Path, write: Callable[[Path], None]) -> None:
 
 
 def final_folder(folder: Path) -> Path:
-    """The folder that a draft of `write_whole` becomes; any other folder itself."""
+    """The final folder of a draft of `write_whole`; any other folder itself."""
     found = _DRAFT.fullmatch(folder.name)
     return folder.with_name(found[1]) if found else folder
 

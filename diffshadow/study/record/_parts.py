@@ -1,4 +1,4 @@
-"""What records are made of: quantities with their ranges, and faults between keys."""
+"""The parts of records: quantities with their ranges, and faults between keys."""
 
 import math
 from collections.abc import Mapping
@@ -13,7 +13,7 @@ _LONGEST_SHOWN = 60
 DISAGREES = "disagrees"
 """The type of a fault between keys."""
 SLACK = 1e-3
-"""How far rounding may move an error or a visibility out of its range."""
+"""The distance by which rounding may move an error or a visibility out of its range."""
 
 Fraction = Annotated[float, Field(ge=-SLACK, le=1 + SLACK)]
 Similarity = Annotated[float, Field(ge=-1 - SLACK, le=1 + SLACK)]
@@ -28,37 +28,38 @@ Numbers = dict[str, Single]
 
 
 def absent(default: Any = None) -> Any:
-    """The default of a key that is not written where it has this value."""
+    """The default of a key that is omitted if it has this value."""
     return Field(default=default, exclude_if=lambda value: value == default)
 
 
 class Part(BaseModel):
     """A part of a record, as it is made, written to `result.json` and read again.
 
-    Values are not coerced, and every number is finite: numbers that are not finite become none. Unknown keys are
-    ignored, since a later version or a user may have added them.
+    Values are not coerced. Every number is finite: other numbers become `None`. Unknown keys are ignored, because a
+    later version or a user may have added them.
     """
 
     model_config = ConfigDict(extra="ignore", strict=True, frozen=True, allow_inf_nan=False)
 
     @classmethod
     def of(cls, source: Any, **more: Any) -> Self:
-        """A part that takes each of its fields from `more`, or else from the attribute of `source` with its name."""
+        """A part that takes each of its fields from `more`, or otherwise from the attribute of `source` with the same
+        name."""
         names = [name for name in cls.model_fields if name not in more and hasattr(source, name)]
         return cls(**{name: getattr(source, name) for name in names}, **more)
 
     @model_validator(mode="before")
     @classmethod
     def _made_plain(cls, given: Any) -> Any:
-        # What `fit` found has parts of its own, which are tuples with names.
+        # The results of `fit` have parts of their own, which are named tuples.
         return plain(given._asdict() if hasattr(given, "_asdict") else given)
 
 
 def plain(value: Any) -> Any:
-    """`value` in a form that JSON can hold: non-finite numbers become none, and lone surrogates are escaped."""
+    """`value` in a form that JSON can store. Non-finite numbers become `None`, and lone surrogates are escaped."""
     if isinstance(value, Mapping):
         return {plain(str(key)): plain(inner) for key, inner in value.items()}
-    # Of a tuple with names, a part is made.
+    # A named tuple becomes a part.
     if isinstance(value, list | tuple) and not hasattr(value, "_fields"):
         return [plain(inner) for inner in value]
     if isinstance(value, str):
@@ -78,11 +79,11 @@ def check_keys(key: str, numbers: Mapping[str, Any], of: str, expected: Mapping[
 
 
 def disagrees(key: str, given: str, expected: str) -> PydanticCustomError:
-    """A fault between keys: which key, what was given, and what was expected."""
+    """A fault between keys: the key, the given value, and the expected value."""
     words = {"key": key, "given": given, "expected": expected}
     return PydanticCustomError(DISAGREES, "{key}: {given}; expected {expected}", words)
 
 
 def short(text: str) -> str:
-    """Text that is cut where it is too long for a sentence."""
+    """`text`, cut if it is too long for a sentence."""
     return text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}…"

@@ -1,7 +1,7 @@
 """Records of single runs: renders, and fits of techniques, lights, meshes, pictures and shapes.
 
-A record is made when a run ends. It is written to `result.json`, printed, drawn on the page, and read again by reports
-and comparisons.
+A record is made when a run ends. It is written to `result.json`, printed and drawn on the page. Reports and comparisons
+read it again.
 """
 
 from typing import Annotated, Any, Literal, Self
@@ -29,7 +29,7 @@ UNEXPLAINED, BEST_ALREADY = "unexplained", "best already"
 
 
 class Errors(Part):
-    """Errors of one state, over all lights; `flip` is measured on the shaded picture, or none."""
+    """Errors of one state over all lights. `flip` is measured on the shaded picture, or `None`."""
 
     rmse: Fraction
     mae: Fraction
@@ -40,7 +40,7 @@ class Errors(Part):
 
 
 class LightErrors(Part):
-    """Errors of one state under one light; none if no pixel counts."""
+    """Errors of one state under one light. `None` if no pixel counts."""
 
     rmse: Fraction | None
     mae: Fraction | None
@@ -59,14 +59,14 @@ class Extents(Part):
 
 
 class Aliasing(Part):
-    """The size of texels on the screen, and the part of it that perspective causes."""
+    """The size of texels on the screen, and its part that perspective causes."""
 
     extent: Extents
     perspective: Extents
 
 
 class RenderedLight(Part):
-    """A light of a render. `aliasing` is none without a map whose texels are seen."""
+    """A light of a render. `aliasing` is `None` without a map that has visible texels."""
 
     light: str
     errors: LightErrors
@@ -76,7 +76,7 @@ class RenderedLight(Part):
 
 
 class FittedLight(Part):
-    """A light or a view of a fit. `validation`: true if the fit has not seen it; none without a validation."""
+    """A light or a view of a fit. `validation` is true if the fit does not use it, and `None` without a validation."""
 
     light: str
     before: LightErrors
@@ -92,7 +92,7 @@ class BeforeAndAfter(Part):
 
 
 class RenderMetrics(Part):
-    """How far a render is from its reference, over so many `pixels`."""
+    """The errors of a render against its reference, over `pixels` pixels."""
 
     compare: str
     reference_noise_floor: Fraction | None
@@ -103,10 +103,10 @@ class RenderMetrics(Part):
 
 
 class FitMetrics(Part):
-    """How far the images of a fit are from their references, over so many `pixels`.
+    """The errors of a fit's images against their references, over `pixels` pixels.
 
-    - `validation`: over the views that the fit has not seen.
-    - `shown`: the indices of the views that have pictures, the worst first; for several views only.
+    - `validation`: the errors over the validation views.
+    - `shown`: the indices of the views that have pictures, with the worst first; for several views only.
     - `resolution`: (height, width) of the images, for a fit without a configuration.
     """
 
@@ -144,11 +144,11 @@ class Phase(Part):
 
 
 class Course(Part):
-    """How a fit went.
+    """The course of a fit.
 
     - `flat`: the parameters without a gradient.
-    - `is_own_loss`: whether losses come from a user's own loss; `initial_loss`: its value at the start, under the hard
-        compare. For poses it is none, since it would compare blurred images, unlike the hard losses of the phases.
+    - `is_own_loss`: whether losses come from a user's loss. `initial_loss`: its value at the start, under the hard
+      compare. It is `None` for poses, because it would compare blurred images, unlike the hard losses of the phases.
     """
 
     name: str = ""
@@ -180,8 +180,8 @@ class Start(Part):
 
 
 class Poses(Part):
-    """The result of a fit of lights and meshes: the `truth` as far as it is known, how far the fit is from the truth,
-    and how well the image determines the values."""
+    """The result of a fit of lights and meshes: the known `truth`, the distance of the fit from the truth, and the
+    precision with which the image determines the values."""
 
     truth: Numbers = {}
     error: Numbers = {}
@@ -237,15 +237,15 @@ class FrontPoint(Part):
 
 
 class Verdict(Part):
-    """What a fit comes to.
+    """The verdict on a fit.
 
     - `kind`: `"unexplained"` if it does not explain its references, `"best already"` if the start is as good as the
-        result, `"cut short"` if the solver had too few steps to tell, `"nothing fitted"` if no parameter has a slope,
-        and otherwise `"fitted"`.
+      result, `"cut short"` if the solver had too few steps to tell, `"nothing fitted"` if no parameter has a slope, and
+      otherwise `"fitted"`.
     - `sentence`: the verdict in words, without a full stop.
-    - `remedies`: what to try, a sentence each.
-    - `constant_rmse`: the least RMSE of constant images, if the references are not explained. Colours of pictures may
-        be greater than 1.
+    - `remedies`: the remedies to try, one sentence each.
+    - `constant_rmse`: the lowest RMSE of constant images, if the references are not explained. Colours of pictures may
+      be greater than 1.
     """
 
     kind: str
@@ -255,7 +255,8 @@ class Verdict(Part):
 
 
 class Run(Part):
-    """What the records of all runs have. `warnings`: remarks, a sentence each; `seconds`: times of its stages."""
+    """The fields that the records of all runs have. `warnings`: remarks, one sentence each; `seconds`: times of its
+    stages."""
 
     schema_version: Count = 0
     name: str = Field(min_length=1)
@@ -266,12 +267,12 @@ class Run(Part):
 
     @property
     def said(self) -> Verdict | None:
-        """The verdict on a fit; none for a render, and none for a fit by an older version."""
+        """The verdict on a fit. `None` for a render, and for a fit by an older version."""
         return getattr(self, "verdict", None)
 
     @property
     def is_explained(self) -> bool:
-        """Whether a fit explains its references, as far as that is known."""
+        """Whether a fit explains its references, if that is known."""
         return self.said is None or self.said.kind != UNEXPLAINED
 
 
@@ -285,7 +286,7 @@ class RenderRecord(Run):
 
 
 class NumbersRecord(Run):
-    """Of a fit of numbers. A run that was made in Python has neither seed nor command, since it has no
+    """The record of a fit of numbers. A run made in Python has neither seed nor command, because it has no
     configuration."""
 
     seed: Seed | None = absent()
@@ -316,22 +317,22 @@ class FitRecord(NumbersRecord):
 
     @property
     def truth(self) -> Numbers:
-        """The true values of lights and meshes, as far as they are known."""
+        """The known true values of lights and meshes."""
         return {} if self.poses is None else self.poses.truth
 
     @property
     def deviations(self) -> dict[str, float | None]:
-        """The standard deviations of fitted poses, as far as they are known."""
+        """The known standard deviations of fitted poses."""
         return {} if self.poses is None or self.poses.precision is None else self.poses.precision.deviations
 
     @property
     def starts(self) -> list[Start]:
-        """How each of several starts of a fit of poses went."""
+        """The course of each of several starts of a fit of poses."""
         return [] if self.poses is None else self.poses.starts or []
 
     @property
     def widths(self) -> list[float]:
-        """The fractions of the error that the intervals are for."""
+        """The fractions of the error that define the intervals."""
         return [each.within for profile in list(self.profiles.values())[:1] for each in profile.intervals]
 
     @model_validator(mode="after")
@@ -353,7 +354,7 @@ class FitRecord(NumbersRecord):
         if (self.seed is None) != (self.command is None):
             raise disagrees("command and seed", "are not both there", "both, or neither of a fit made in Python")
         if self.command is None and self.metrics.resolution is None:
-            raise disagrees("metrics.resolution", "is missing", "the size of the images, since there is no command")
+            raise disagrees("metrics.resolution", "is missing", "the size of the images, because there is no command")
         phases, chosen = len(self.solver.phases), self.solver.chosen_phase
         if chosen >= phases:
             raise disagrees("solver.chosen_phase", f"is {chosen}", f"less than {phases}, the number of phases")
@@ -361,7 +362,7 @@ class FitRecord(NumbersRecord):
 
 
 class PictureErrors(Part):
-    """Errors of a picture in its encoding; `flip` is none without the package that measures it."""
+    """Errors of a picture in its encoding. `flip` is `None` without the package that measures it."""
 
     rmse: Positive
     mae: Positive
@@ -390,8 +391,8 @@ class PictureRecord(NumbersRecord):
 
 
 class Overlap(Part):
-    """How far a shadow overlaps its target, as intersection over union: before the fit, and after it as the map and as
-    rays see it."""
+    """The overlap of a shadow with its target, as intersection over union: before the fit, and after it for the map and
+    for rays."""
 
     light: str
     before: Fraction
@@ -400,14 +401,14 @@ class Overlap(Part):
 
 
 class UnseenOverlap(Part):
-    """The same for the result under a light that the fit did not see."""
+    """The overlap of the result under a light that the fit did not use."""
 
     light: str
     rays: Fraction
 
 
 class MovedLight(Part):
-    """How far a light is from its place in the scene, degrees."""
+    """The angle between a light and its position in the scene, in degrees."""
 
     light: str
     before: Positive
@@ -415,7 +416,7 @@ class MovedLight(Part):
 
 
 class ShapeMetrics(Part):
-    """How close a shape's shadows are to their targets.
+    """The closeness of a shape's shadows to their targets.
 
     - `chamfer`, `size`: world units, if the shape that casts the targets is known.
     - `self_intersections`: pairs of faces.

@@ -1,4 +1,4 @@
-"""Stored runs: what reports, comparisons and figures are made from."""
+"""Stored runs, from which reports, comparisons and figures are made."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -27,7 +27,7 @@ class LightImages(NamedTuple):
     """The images of one light, or of a view under one light.
 
     - `key`: the light's key, such as `"scene.light"`, or the view's name; `end`: the suffix of its files.
-    - `images`: title and visibility (h, w) of each state, the result last; `errors`: errors of each state.
+    - `images`: title and visibility (h, w) of each state, with the result last; `errors`: errors of each state.
     - `mask`: (h, w), the pixels that count.
     """
 
@@ -44,8 +44,8 @@ class StoredRun[Of: records.FolderRecord]:
     """A finished run.
 
     - `folder`: the run's folder.
-    - `record`: the content of `result.json`; `arrays`: the arrays of `arrays.npz` that figures are made from.
-    - `settings`: all settings, with their units; none for a fit made in Python.
+    - `record`: the content of `result.json`; `arrays`: the arrays of `arrays.npz`, for figures.
+    - `settings`: all settings with their units, or `None` for a fit made in Python.
     """
 
     folder: Path
@@ -59,7 +59,7 @@ class VisibilityRun[Of: records.VisibilityRecord](StoredRun[Of]):
 
     @cached_property
     def errors(self) -> list[tuple[str, records.Errors]]:
-        """Title and errors of each state over all lights, the result last."""
+        """Title and errors of each state over all lights, with the result last."""
         return list(zip(_titles(self.record).values(), _errors_of(self.record.metrics), strict=True))
 
     @cached_property
@@ -86,13 +86,13 @@ class VisibilityRun[Of: records.VisibilityRecord](StoredRun[Of]):
 
     @cached_property
     def shown(self) -> list[LightImages]:
-        """The images that have pictures: all lights, or the worst views, the worst first."""
+        """The images with pictures: all lights, or the worst views with the worst first."""
         shown = self.record.metrics.shown if isinstance(self.record, records.FitRecord) else None
         return self.lights if shown is None else [self.lights[i] for i in shown]
 
     @cached_property
     def shaded(self) -> list[tuple[str, HostArray]]:
-        """Title and sRGB image (h, w, 3) of the reference and each state, under all lights, the result last."""
+        """Title and sRGB image (h, w, 3) of the reference and each state, under all lights, with the result last."""
         names = {"reference": "Reference", **_titles(self.record)}
         found = {title: self.arrays.get(f"shaded_{name}") for name, title in names.items()}
         return [(title, image) for title, image in found.items() if image is not None]
@@ -106,8 +106,8 @@ def is_fit(run: StoredRun[Any]) -> TypeGuard[VisibilityRun[records.FitRecord]]:
 def read_run(folder: Path) -> VisibilityRun[Any]:
     """Reads the fit or render in `folder`.
 
-    **Raises** `FileError` if the folder is missing, holds no complete fit or render, or holds files that are damaged
-    or belong to different runs; `ConfigError` if its configuration cannot be read.
+    **Raises** `FileError` if the folder is missing, has no complete fit or render, or has files that are damaged or
+    belong to different runs; `ConfigError` if its configuration cannot be read.
     """
     record = read_record(folder)
     if not isinstance(record, records.VisibilityRecord):
@@ -117,8 +117,8 @@ def read_run(folder: Path) -> VisibilityRun[Any]:
 
 def stored_run(folder: Path, record: records.FolderRecord) -> Any:
     """The run in `folder`, whose record has been read. **Raises** as `read_run`."""
-    # A report needs only the run's own files: meshes and reference images may no longer exist. A fit made in Python has
-    # no configuration, and the page of a fit to a picture shows none of it.
+    # A report needs only the run's own files, because meshes and reference images may no longer exist. A fit made in
+    # Python has no configuration, and the page of a fit to a picture does not show it.
     is_configured = record.command is not None and not isinstance(record, records.PictureRecord)
     config = load_config(_existing(folder, CONFIG), [], files=False) if is_configured else None
     if config is not None:
@@ -159,7 +159,7 @@ def _existing(folder: Path, name: str) -> Path:
 
 
 def _check_same(folder: Path, record: records.FolderRecord, config: Config) -> None:
-    """Checks that record and configuration belong to the same run."""
+    """Checks that the record and the configuration belong to the same run."""
     named = {}
     if isinstance(record, records.ShapeRecord):
         if config.fit.shape is None:

@@ -1,4 +1,4 @@
-"""Records of many runs: sweeps, recommendations, and what these keep of each run."""
+"""Records of many runs: sweeps, recommendations, and their summaries of single runs."""
 
 from typing import Annotated, Literal
 
@@ -10,8 +10,8 @@ from ._parts import Count, Fraction, Numbers, Part, Positive, Seconds, Single, a
 
 
 class ManyRuns(Part):
-    """What the records of sweeps and recommendations have. `runs`, `done`, `failed`: the number of runs, of those that
-    are done, and of those that failed."""
+    """The fields that the records of sweeps and recommendations have. `runs`, `done`, `failed`: the number of all runs,
+    of finished runs, and of failed runs."""
 
     schema_version: Count = 0
     name: str = Field(min_length=1)
@@ -25,7 +25,7 @@ class ManyRuns(Part):
 
 
 class SweepRecord(ManyRuns):
-    """Of a sweep."""
+    """The record of a sweep."""
 
     kind: Literal["sweep"] = "sweep"
 
@@ -34,13 +34,13 @@ class Candidate(Part):
     """A fitted technique.
 
     - `id`: the id of its run; `bias`, `filter`: the labels of its entries; `resolution`: the resolution of its map, in
-        texels.
+      texels.
     - `values`: the fitted numbers, by the key that sets them; `units`: the units of these numbers.
-    - `rmse`, `false_shadow`, `false_light`: its errors over the validation, or over what the fit sees if there is none.
-    - `fit_rmse`: RMSE over what the fit sees.
+    - `rmse`, `false_shadow`, `false_light`: its errors over the validation, or over the fitted views if there is none.
+    - `fit_rmse`: RMSE over the fitted views.
     - `map_ms`, `lookup_ms`: milliseconds to draw the maps of one view and to look them up.
-    - `ratio`: its time, relative to the fastest candidate's; `spread`: how far it may be off, as a fraction of it.
-    - `front`: whether no other candidate is faster with as small an error.
+    - `ratio`: its time relative to the fastest candidate; `spread`: the uncertainty of `ratio` as a fraction of it.
+    - `front`: whether no other candidate is faster with an error as small.
     """
 
     id: str
@@ -66,7 +66,7 @@ class Candidate(Part):
 
     @property
     def times(self) -> str:
-        """Its time relative to the fastest candidate's, and how far this may be off."""
+        """Its time relative to the fastest candidate, with its uncertainty."""
         return f"{self.ratio:.2f} ± {self.ratio * self.spread:.2f}"
 
     @property
@@ -87,7 +87,7 @@ class Candidate(Part):
 
 
 class Advice(Part):
-    """`engine`, `code`: for advice on an engine: its name, and its code for each light."""
+    """`engine`, `code`: for advice on an engine, its name and its code for each light."""
 
     engine: EngineName | None = None
     code: dict[str, str] = {}
@@ -107,7 +107,7 @@ class Advice(Part):
 
 
 class AdviseRecord(ManyRuns):
-    """Of a recommendation. `advice`: advice from all fits; none before they are done."""
+    """The record of a recommendation. `advice`: advice from all fits; `None` before they are finished."""
 
     kind: Literal["advise"] = "advise"
     advice: Advice | None = absent()
@@ -118,8 +118,8 @@ class Times(Part):
 
     - `map_ms`, `lookup_ms`: in milliseconds.
     - `ratio`: its time divided by the fastest technique's time.
-    - `spread`: how far the ratio may be off to either side, as a fraction of it: half of the interval that contains the
-        true median with a probability of 95 %.
+    - `spread`: the uncertainty of the ratio in either direction, as a fraction of it. It is half of the interval that
+      contains the true median with a probability of 95 %.
     """
 
     map_ms: Seconds
@@ -129,9 +129,9 @@ class Times(Part):
 
 
 class Load(Part):
-    """How busy the machine was while techniques were timed.
+    """The load of the machine while techniques were timed.
 
-    - `others`: the part of all processors' time that other processes used; none if the system does not report it.
+    - `others`: the fraction of all processors' time that other processes used; `None` if the system does not report it.
     - `unevenness`: half of the interquartile range of the times of rounds, as a fraction of their median.
     """
 
@@ -140,9 +140,9 @@ class Load(Part):
 
 
 class LeastBias(Part):
-    """The least bias that keeps false shadow within a limit.
+    """The lowest bias that keeps false shadow within a limit.
 
-    - `value`: the bias that was found, in its unit. If none keeps the limit, the bias with the least false shadow.
+    - `value`: the bias in its unit. If no bias keeps the limit, the bias with the lowest false shadow.
     - `false_shadow`, `false_light`: its errors.
     """
 
@@ -152,8 +152,8 @@ class LeastBias(Part):
 
 
 class Measurements(Part):
-    """What a recommendation measures: times of techniques, by `ids` of their runs; how busy the machine was meanwhile;
-    and biases, by pairs of techniques."""
+    """The measurements of a recommendation: times of techniques, by `ids` of their runs; the load of the machine; and
+    biases, by pairs of techniques."""
 
     ids: list[str]
     times: list[Times]

@@ -1,4 +1,4 @@
-"""Remarks on biases: casters that lose much of their shadow to one."""
+"""Remarks on biases that remove much of a caster's shadow."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
@@ -17,20 +17,20 @@ from ...geometry import Edges, Mesh, Scene
 from ...raster import Surface
 from ._scene import turned
 
-# A mesh that loses more of its shadow to the bias is a cause for a remark; where the bias is more than this part of the
-# mesh's length along the light, less is enough.
+# A mesh causes a remark if it loses more than this share of its shadow to the bias. A smaller share is enough if the
+# bias exceeds this fraction of the mesh's length along the light.
 _LOST, _PART, _LOST_OF_SHORT = 0.5, 1 / 3, 0.22
-# How many points of a mesh are tried, and how many of them have to cast a shadow into the picture.
+# The number of points that are tested on a mesh, and the number of points that must cast a shadow into the picture.
 _TRIED, _FEWEST = 128, 8
 _NUMBERS = ("constant", "slope", "normal_offset")
 
 
 class _Loss(NamedTuple):
-    """What a mesh loses of its shadow to the bias.
+    """The part of a mesh's shadow that the bias removes.
 
     - `mesh`: its index; `share`: share of its shadow's area.
-    - `shift`: by how much the bias moves what it shadows towards the light, and `texel`: the side of a texel there, in
-      world units.
+    - `shift`: the distance by which the bias moves the shadowed surfaces towards the light; `texel`: the side of a
+      texel there. Both in world units.
     - `across`, `along`: the mesh's narrowest side across the light and its length along it, in world units.
     """
 
@@ -49,8 +49,8 @@ def bias_remarks(
     lit: Sequence[Scene],
     states: Sequence[Any],
 ) -> Iterator[str]:
-    """A sentence for each light under which casters lose much of their shadow, because the bias moves the shadowed
-    surfaces in front of the casters.
+    """A sentence for each light whose casters lose much of their shadow, because the bias moves the shadowed surfaces
+    in front of the casters.
 
     **Arguments:**
 
@@ -85,7 +85,7 @@ def _largest(config: Config) -> str:
 
 
 def _narrowed(config: Config, key: str) -> str | None:
-    """How to spend a light's texels on less of the scene; none where there is no key for it."""
+    """How to use a light's texels for a smaller part of the scene. Empty if there is no key for it."""
     light = next(each for at, each in config.scene.each_light.items() if key == ".".join(map(str, ("scene", *at))))
     if light.type == "directional":
         return f"narrow its map with {key}.shadow_camera"
@@ -104,7 +104,7 @@ def _losses(technique: shadow.ShadowMapping, scene: Scene, state: Any) -> Iterat
     shift, texel = _shifts(technique, state, hidden)
     seen = _is_in_picture(scene, hidden.position)
     mesh = number[faces[hidden.caster]]
-    # Other casters may still hide what moves past the nearest one.
+    # Other casters may still hide points that move past the nearest caster.
     towards = np.asarray(scene.light.towards(as_float(hidden.position)), np.float64)
     distance = np.linalg.norm(towards, axis=1, keepdims=True)
     moved = hidden.position + shift[:, None] * towards / distance
@@ -124,13 +124,13 @@ def _losses(technique: shadow.ShadowMapping, scene: Scene, state: Any) -> Iterat
 
 
 def _solid(mesh: Mesh) -> Bool[HostArray, " f"]:
-    """Whether each face is a part of a closed surface that bounds a volume."""
+    """Whether each face is a part of a closed surface."""
     edges = Edges.of(mesh)
     return np.asarray(edges.solid)[np.asarray(edges.component)]
 
 
 def _spread(faces: Int[HostArray, " n"]) -> Int[HostArray, " m"]:
-    """As many of a mesh's faces as are tried, evenly spaced or many times; none of none."""
+    """The tested faces of a mesh: evenly spaced, or repeated if there are few. Empty for an empty mesh."""
     if not len(faces):
         return faces
     return faces[np.arange(_TRIED) * len(faces) // _TRIED] if len(faces) >= _TRIED else np.resize(faces, _TRIED)
@@ -139,9 +139,10 @@ def _spread(faces: Int[HostArray, " n"]) -> Int[HostArray, " m"]:
 def _shifts(
     technique: shadow.ShadowMapping, state: Any, hidden: reference.HiddenPoints
 ) -> tuple[Float[HostArray, " n"], Float[HostArray, " n"]]:
-    """How far the bias moves each point towards the light, and how wide a texel is there, in world units."""
+    """The distance by which the bias moves each point towards the light, and the width of a texel there, in world
+    units."""
     count = len(hidden.position)
-    # Points as the pixels of a picture, padded so that scenes share a program.
+    # The points are stored like the pixels of a picture, with padding, so that scenes share a program.
     padded = lambda values: as_float(padded_to(values, shared_size(count)))[None]
     position, normal = padded(hidden.position), padded(hidden.normal)
     mask = jnp.arange(shared_size(count))[None] < count
@@ -164,6 +165,6 @@ def _extents(scene: Scene, index: int) -> tuple[float, float]:
     axis = towards / np.linalg.norm(towards)
     centred = corners - corners.mean(axis=0)
     across = centred - np.outer(centred @ axis, axis)
-    # Of the three directions, the last is the light's, across which nothing is spread.
+    # The last of the three directions is the light's. Across it, the extent is zero.
     narrow = np.linalg.svd(across, full_matrices=False)[2][1]
     return float(np.ptp(across @ narrow)), float(np.ptp(centred @ axis))

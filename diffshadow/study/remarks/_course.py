@@ -1,4 +1,4 @@
-"""How a fit went: whether its solver converged, and what its result owes to the solver."""
+"""The course of a fit: whether its solver converged, and the solver's share in the result."""
 
 from collections.abc import Sequence
 
@@ -7,15 +7,16 @@ import numpy as np
 from ...fit import FitResult, Outcome, PictureProblem
 
 CUT_SHORT = "max_steps reached"
-"""How a phase without further steps ends."""
+"""The reason of a phase that ended because it had no further steps."""
 STILL_FALLING = 0.25
 """A loss counts as still falling if it fell by more than this fraction in the last steps. Losses of poses change a
-little at every step, as pixels switch between lit and shadowed."""
-# Up to this one, the last phase of a fit of a technique counts as done: its error fell by no more than half as much.
+little at every step, because pixels switch between light and shadow."""
+# The last phase of a fit of a technique counts as finished up to this limit: its error fell by no more than half as
+# much.
 _NEARLY_DONE = 0.01
-# Of fewer evaluations of the loss, a decrease does not tell whether more would follow: solvers reject some first steps.
+# With fewer evaluations, a decrease does not tell whether more would follow, because solvers reject some first steps.
 _FEW = 5
-# Values of the solver within this part of the distance between the bounds from the start are the start.
+# Values of the solver count as the start within this fraction of the distance between the bounds.
 _NO_MOVE = 1e-5
 
 
@@ -25,18 +26,18 @@ def what_is_fitted(result: FitResult) -> str:
 
 
 def late_fall(losses: Sequence[float]) -> tuple[float, int] | None:
-    """By which fraction a phase's loss fell in the last quarter of its steps, and the number of these steps; none if
-    there are fewer than two steps."""
+    """The fraction by which a phase's loss fell in the last quarter of its steps, and the number of these steps. `None`
+    if there are fewer than two steps."""
     if len(losses) < 2:
         return None
     late = max(len(losses) // 4, 1)
-    # By minima, since the solver rejects some steps.
+    # Compares minima, because the solver rejects some steps.
     early, least = min(losses[:-late]), min(losses)
     return (1 - least / early if early > 0 else 0.0), late
 
 
 def is_nearly_done(result: FitResult, phase: int) -> bool:
-    """Whether a phase converged, or ended at `max_steps` where its loss fell by little."""
+    """Whether a phase converged, or ended at `max_steps` after its loss had nearly settled."""
     outcome = result.phases[phase]
     if outcome.result != CUT_SHORT:
         return outcome.result == "successful"
@@ -47,7 +48,8 @@ def is_nearly_done(result: FitResult, phase: int) -> bool:
 
 
 def last_phase(result: FitResult) -> tuple[Outcome, int] | None:
-    """The phase that gave the result, or the last phase if the start was better than all; none without phases."""
+    """The phase that gave the result, or the last phase if the start was better than all phases. `None` without
+    phases."""
     if not result.phases:
         return None
     number = result.chosen if result.chosen >= 0 else len(result.phases) - 1
@@ -63,7 +65,7 @@ def was_cut_short(result: FitResult) -> bool:
 
 
 def is_by_profiles(result: FitResult) -> bool:
-    """Whether the solver left the start as it was, and profiles found a smaller error."""
+    """Whether the solver did not change the start and profiles found a lower error."""
     if not result.profiles or result.best == result.initial or not result.errors[1] < result.errors[0]:
         return False
     if result.chosen < 0:

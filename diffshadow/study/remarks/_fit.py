@@ -1,4 +1,4 @@
-"""Remarks on a fit: what a reader should know besides its numbers."""
+"""Remarks on a fit, in addition to its numbers."""
 
 from collections.abc import Iterator
 
@@ -20,9 +20,9 @@ from ._course import (
     what_is_fitted,
 )
 
-# An interval longer than this part of the distance between the bounds says that a value hardly matters.
+# If an interval exceeds this fraction of the distance between the bounds, the value hardly matters.
 _FLAT = 0.5
-_IN_PICTURES = "since no pixel of the picture changes with it near its start: try another initial value"
+_IN_PICTURES = "because no pixel of the picture changes with it near its start: try another initial value"
 
 
 def remarks(config: Config | None, result: FitResult, kind: str = "fitted") -> list[str]:
@@ -30,14 +30,14 @@ def remarks(config: Config | None, result: FitResult, kind: str = "fitted") -> l
 
     **Arguments:**
 
-    - `config`: the configuration; none for a fit that was made in Python, whose remarks name Python's settings.
-    - `kind`: kind of the verdict. Where the references are not explained, it does not matter where the values ended or
-        why; nor where the start was the best.
+    - `config`: the configuration; `None` for a fit made in Python, whose remarks name Python's settings.
+    - `kind`: the kind of the verdict. If the references are not explained, or if the start was the best, the fitted
+      values and the reasons for stopping do not matter.
     """
     if result.arrangement is None:
         sentences = [_flat(config, name) for name in result.flat]
     else:
-        # Large differences that more steps would mend say nothing of how well the values are determined.
+        # Large differences that more steps would reduce do not show how well the values are determined.
         is_known = kind != UNEXPLAINED and not was_cut_short(result)
         sentences = list(pose_remarks(config, result, is_known=is_known))
     if kind == UNEXPLAINED:
@@ -45,7 +45,7 @@ def remarks(config: Config | None, result: FitResult, kind: str = "fitted") -> l
     sentences += [*_undecided(result), *_few_points(config, result)]
     if kind == BEST_ALREADY:
         return sentences
-    # A preferred value lies on purpose where it does.
+    # A preferred value may lie at a bound on purpose.
     preferred = bool(result.best) and result.fitted != result.best
     on_bounds = [] if preferred else _on_bounds(config, result)
     more = "raise max_steps of the fit.Solver" if config is None else "raise fit.solver.max_steps"
@@ -67,18 +67,17 @@ def _undecided(result: FitResult) -> Iterator[str]:
 
 
 def _few_points(config: Config | None, result: FitResult) -> Iterator[str]:
-    """A sentence for a front of fewer points than asked for."""
+    """A sentence for a front with fewer points than requested."""
     count, asked = len(result.front), result.sureness.front
     if count < asked:
         yield (
             f"{'Sureness' if config is None else 'fit'}.front is {asked}, and the front has {counted(count, 'point')}: "
-            "no other settings were found whose errors differ from theirs and whose weighted sum is the least for some "
-            "weights"
+            "no other settings were found that minimise a weighted sum of the two errors"
         )
 
 
 def _unconverged(result: FitResult, more: str) -> Iterator[str]:
-    """A sentence for each phase that led to the result and ended while its error still fell; `more` says what gives
+    """A sentence for each phase that led to the result and ended while its error was falling. `more` says how to get
     more steps."""
     found = last_phase(result)
     if found is None:
@@ -91,13 +90,13 @@ def _unconverged(result: FitResult, more: str) -> Iterator[str]:
         mend = f": {more}" if last.result == CUT_SHORT else ""
         which = "the phase that gave the result" if result.chosen >= 0 else "its last phase, and no phase ended better"
         yield f"the solver did not converge in {which} ({_named(last)}): {last.result}{still}{mend}"
-    # Where no phase led to the result, none came before it.
+    # If no phase led to the result, no earlier phase matters.
     for earlier, phase in enumerate(result.phases[: max(result.chosen, 0)]):
         if phase.result != CUT_SHORT:
             continue
         fall = late_fall(losses_of(result, earlier))
         before = f"an earlier phase ({_named(phase)}), where the result's phase began, ended at max_steps"
-        # If a later phase has converged, an earlier one that was nearly done does not matter.
+        # If a later phase has converged, an earlier phase that had nearly converged does not matter.
         if fall is not None and fall[0] > STILL_FALLING:
             yield f"{before} while its error still fell, {_by(*fall)}: {more}"
         elif not is_done:
@@ -105,11 +104,11 @@ def _unconverged(result: FitResult, more: str) -> Iterator[str]:
 
 
 def _by_profiles(result: FitResult, within: str, more: str) -> Iterator[str]:
-    """A sentence for a fit whose solver gained nothing; `within` names what asks for profiles."""
+    """A sentence for a fit whose solver gained nothing. `within` is the setting that requests profiles."""
     if is_by_profiles(result):
         yield (
-            f"the solver found nothing better than the start: all that the fit gained was found by the profiles that "
-            f"{within} asks for, which look near the best values; a smaller error may lie farther away: {more}, or "
+            f"the solver found nothing better than the start: the profiles of {within}, which search near the best "
+            f"values, found the whole improvement; a lower error may lie farther away: {more}, or "
             "begin at the fitted values"
         )
 
@@ -128,15 +127,15 @@ def _flat(config: Config | None, name: str) -> str:
     if config is None:
         return f"{remark}; no pixel changes with it near its start: try another initial value, or a larger Anneal.start"
     if name == "filter.radius" and config.filter.looks_up_nearest:
-        return f"{remark}, since nearest look-ups have no gradient by it: set filter.lookup to bilinear"
+        return f"{remark}, because nearest look-ups have no gradient with respect to it: set filter.lookup to bilinear"
     if name == "filter.radius" and config.initial(name) == 0:
-        return f"{remark}, since it starts at 0: give it an initial value above 0"
+        return f"{remark}, because it starts at 0: give it an initial value above 0"
     return f"{remark}; no pixel changes with it near its start: try another initial value, or a larger fit.anneal.start"
 
 
 def _on_bounds(config: Config | None, result: FitResult) -> Iterator[str]:
-    """A sentence for each value on a bound beyond which the error may fall further. Of a picture, also for one at the
-    limit of its key, which nothing can be beyond."""
+    """A sentence for each value on a bound beyond which the error may fall further. For a picture, also for a value at
+    the limit of its key."""
     named = {parameter.name: parameter for parameter in result.parameters}
     for name, side, bound, falls in result.at_bounds:
         if not falls or name in result.flat:
@@ -148,56 +147,59 @@ def _on_bounds(config: Config | None, result: FitResult) -> Iterator[str]:
             yield f"{where}, where the error still falls: the best value may lie beyond it, so widen the bounds"
         elif what_is_fitted(result) == "picture":
             yield (
-                f"{where}, where the error still falls. That is the limit of {name}, so no bounds can be wider: "
-                "something that is not fitted differs from the picture; fit more of the scene as well, such as lights, "
+                f"{where}, where the error still falls. That is the limit of {name}, so wider bounds are not "
+                "possible: an object or number that is not fitted differs from the picture; fit more of the scene "
+                "as well, such as lights, "
                 "colours or reference.exposure"
             )
 
 
 def pose_remarks(config: Config | None, result: FitResult, *, is_known: bool = True) -> Iterator[str]:
-    """A sentence for each parameter that the image, or the picture, does not determine, with the cause.
+    """A sentence for each parameter that the image or the picture does not determine, with the cause.
 
     **Arguments:**
 
     - `is_known`: whether the fit converged and explains the image. If not, no sentence says how well the image
-        determines the values.
+      determines the values.
     """
     what = what_is_fitted(result)
     for name in result.flat:
-        # A picture also shows what has no shadow.
+        # A picture also shows objects without a shadow.
         cause = _IN_PICTURES if what == "picture" else _cause_of_pose(config, name)
         yield f"{name} was not fitted: its gradient is zero throughout, {cause}"
     for group in () if result.precision is None or not is_known else result.precision.undetermined:
         if len(group) == 1:
-            yield f"the {what} hardly determines {group[0]}: other values of it fit as well"
+            yield f"the {what} hardly determines {group[0]}: other values fit equally well"
         else:
             listed = f"{', '.join(group[:-1])} and {group[-1]}"
-            yield f"the {what} hardly determines {listed}: they can change together without a change of the error"
+            yield f"the {what} hardly determines {listed}: joint changes do not affect the error"
     if result.enlargements:
         yield f"memory for silhouettes was enlarged {result.enlargements} times during the fit; each time recompiles"
 
 
 def _cause_of_pose(config: Config | None, name: str) -> str:
     if config is None:
-        return "since no pixel changes with it: try another initial value, a filter with bilinear taps, or silhouettes"
+        return (
+            "because no pixel changes with it: try another initial value, a filter with bilinear taps, or silhouettes"
+        )
     section, *_, key = name.split(".")
     if section != "scene":
         if config.filter.looks_up_nearest:
-            return "since nearest look-ups have no gradient: choose a filter with bilinear ones"
-        return "since no pixel changes with it: try another initial value"
+            return "because nearest look-ups have no gradient: choose a filter with bilinear look-ups"
+        return "because no pixel changes with it: try another initial value"
     if key in ("azimuth", "elevation") and not _is_obeyed(config, name):
-        return "since the cone of a spot light without inner_angle is ignored: set inner_angle, or do not fit this"
+        return "because the cone of a spot light without inner_angle is ignored: set inner_angle, or do not fit this"
     if "meshes" in name:
         mesh = config.scene.meshes[int(name.split(".")[2])]
         if not mesh.casts:
-            return "since its mesh does not cast: set casts: true"
+            return "because its mesh does not cast: set casts: true"
     if not config.has_silhouettes:
-        return "since outlines have no gradient without silhouettes: remove shadow_map.silhouettes"
+        return "because outlines have no gradient without silhouettes: remove shadow_map.silhouettes"
     if config.filter.looks_up_nearest:
-        return "since nearest look-ups have no gradient at outlines: choose a filter with bilinear ones"
+        return "because nearest look-ups have no gradient at outlines: choose a filter with bilinear look-ups"
     if "meshes" in name:
-        return "since no pixel sees its shadow: it is outside the light's frustum, or its shadow is outside the image"
-    return "since no pixel sees a shadow's outline: the light's frustum contains nothing that the camera sees"
+        return "because no pixel sees its shadow: it is outside the light's frustum, or its shadow is outside the image"
+    return "because no pixel sees a shadow's outline: the light's frustum contains nothing that the camera sees"
 
 
 def _is_obeyed(config: Config, name: str) -> bool:

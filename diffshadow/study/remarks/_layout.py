@@ -1,4 +1,4 @@
-"""Remarks on how maps are laid out: what they have no memory or no level for, and cascades that are not stable."""
+"""Remarks on the layouts of maps: missing memory or levels, and unstable cascades."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -23,7 +23,7 @@ def layout_remarks(
 
 
 def frames_remarks(frames: Sequence[Config]) -> Iterator[str]:
-    """Warns if stabilized cascades are not stable from one of `frames` to the next, although they could be."""
+    """Warns if stabilized cascades change between `frames` although they could be stable."""
     first = frames[0]
     technique, camera = first.technique, first.scene.camera
     if not (isinstance(technique, Cascades) and technique.stabilize) or technique.depths == "surface":
@@ -36,6 +36,6 @@ def frames_remarks(frames: Sequence[Config]) -> Iterator[str]:
         keys = " and ".join(f"scene.camera.{name}" for name in found)
         yield (
             f"cascades are not stable from frame to frame, although technique.stabilize is true: {keys} "
-            f"{'is' if len(found) == 1 else 'are'} found for each frame anew, so that cascades change size; set "
-            f"{'it' if len(found) == 1 else 'them'} for stable ones"
+            f"{'is' if len(found) == 1 else 'are'} found again for each frame, so cascades change size; set "
+            f"{'it' if len(found) == 1 else 'them'} for stable cascades"
         )

@@ -1,4 +1,4 @@
-"""Remarks on a run's reference: what errors against it do not say."""
+"""Remarks on the limits of errors against a run's reference."""
 
 from collections.abc import Iterator, Sequence
 
@@ -11,8 +11,8 @@ from .._drawn import Drawn
 
 
 def reference_remarks(config: Config, drawn: Sequence[Drawn]) -> Iterator[str]:
-    """A sentence for each light without any shadow, or without any light, in the pixels that count, and one for shadows
-    that are not meant to be dark."""
+    """A sentence for each light without any shadow or without any light in the pixels that count, and a sentence for
+    shadows that are not dark on purpose."""
     for each in drawn:
         seen = np.asarray(each.reference.visibility)[each.mask]
         if seen.size and seen.max() <= 0:

@@ -1,5 +1,5 @@
-"""Remarks on a run's scene: meshes that contribute nothing to the image or leave it, meshes around lights, and open
-meshes that lose their shadow; and scenes whose picture has nothing to compare."""
+"""Remarks on a run's scene: meshes that contribute nothing to the image or extend beyond it, meshes around lights, open
+meshes that lose their shadow, and scenes with nothing to compare."""
 
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
@@ -16,19 +16,20 @@ from ...raster import Surface
 from ...settings.reference import TracedReference
 from ._sight import is_inside, size_of
 
-# A mesh with less than this part of its surface in the picture is mostly outside.
+# A mesh is mostly outside if less than this fraction of its surface is in the picture.
 _MOSTLY = 0.5
-# The picture is of a mesh that fills this part of what is seen.
+# A mesh is the subject of the picture if it fills this fraction of the visible part.
 _MAIN = 0.25
-# A mesh whose shortest side is less than this part of its longest is a ground or a wall, which may leave the picture.
+# A mesh is a ground or a wall if its shortest side is less than this fraction of its longest. It may extend beyond the
+# picture.
 _FLAT = 0.2
-# The part of the picture's shorter side that a mesh of the suggested size takes.
+# The fraction of the picture's shorter side that a mesh of the suggested size fills.
 _SUITABLE = 0.75
-# How many of the points that the camera sees are tried, to tell a lamp's own mesh from a room.
+# The number of visible points that are tested, to distinguish a lamp's own mesh from a room.
 _TRIED = 16
-# A mesh may lose this part of its shadow, as through a small hole, without a remark.
+# A mesh may lose this fraction of its shadow, for example through a small hole, without a remark.
 _LOST = 0.05
-# A mesh this many times smaller or larger than all others is likely to be in another unit.
+# A mesh that is this many times smaller or larger than all others is probably in another unit.
 _ANOTHER_UNIT = 100.0
 # Rounding error of twice a triangle's area, as a fraction of the mesh's extent squared.
 _NO_AREA = 1e-6
@@ -39,7 +40,7 @@ def scene_remarks(
 ) -> Iterator[str]:
     """Warns of meshes, with the likely cause: a mesh that covers no pixel and casts no shadow into the image; a mesh
     that is mostly outside the picture; a mesh around a light that hides all of its light; and an open mesh that loses
-    its shadow because of the sides that cast.
+    its shadow because of the casting sides.
 
     **Arguments:**
 
@@ -78,10 +79,10 @@ def _cause(mesh: Mesh, others: Sequence[Mesh], camera: geometry.AbstractCamera, 
 
 
 class Framed(NamedTuple):
-    """A mesh that leaves the picture.
+    """A mesh that extends beyond the picture.
 
-    - `name`: its key and path; `number`: its number among the meshes.
-    - `share`: the part of its surface that lies in the picture.
+    - `name`: its key and path; `number`: its index among the meshes.
+    - `share`: the fraction of its surface inside the picture.
     - `is_around`: whether the camera is inside its bounding box.
     """
 
@@ -91,7 +92,7 @@ class Framed(NamedTuple):
     is_around: bool
 
     def words(self, scene: Scene) -> tuple[str, str]:
-        """The part of a mesh that lies outside the picture, and how to mend it."""
+        """The part of a mesh outside the picture, and how to fix it."""
         mesh, camera = scene.meshes[self.number], scene.camera
         low, high = np.asarray(mesh.bounds, np.float64)
         extent = " × ".join(f"{side:.3g}" for side in high - low)
@@ -105,7 +106,7 @@ class Framed(NamedTuple):
 def framing_remarks(config: Config, scene: Scene, surface: Surface) -> Iterator[str]:
     """Warns if a mesh that should be in the picture is mostly outside it."""
     framed = _framed(config, scene, surface)
-    # In a room, most is outside.
+    # In a room, most of it is outside the picture.
     if framed and not framed.is_around and not _is_room(scene, framed.number, surface, _numbers(scene)):
         where, mend = framed.words(scene)
         yield f"{where}: {mend}"
@@ -118,7 +119,7 @@ def dark_scene(
 
     **Arguments:**
 
-    - `lit`: the scene with each light alone; `pixels`: (h, w), for each of them, the pixels that count.
+    - `lit`: the scene with each light alone; `pixels`: (h, w) for each light, the pixels that count.
     """
     mask, blockers = np.asarray(surface.mask), blockers_of(config)
     if any(reference.is_lit(each, mask & counted, blockers) for each, counted in zip(lit, pixels, strict=True)):
@@ -130,16 +131,17 @@ def dark_scene(
     elif framed is not None:
         cause, mend = framed.words(lit[0])
     else:
-        cause, mend = "all of it is turned away from the light, or in shadow", "move the light, or the camera"
+        cause, mend = "all of it faces away from the light, or is in shadow", "move the light, or the camera"
     lights = "no light" if len(lit) == 1 else "none of its lights"
     return (
-        f"{lights} reaches what the camera sees, so that there is nothing to compare: {cause}; expected surfaces in "
+        f"{lights} reaches the camera's view, so there is nothing to compare: {cause}; expected surfaces in "
         f"light and in shadow; {mend}"
     )
 
 
 def lights_inside(config: Config, lit: Sequence[Scene], surface: Surface) -> Iterator[tuple[str, str]]:
-    """For each mesh that hides the light inside it from all that the camera sees: which it is, and how to mend it."""
+    """For each mesh that hides the light inside it from everything that the camera sees: the light and the mesh, and
+    how to fix it."""
     number = _numbers(lit[0])
     for key, scene in zip(config.scene.each_light, lit, strict=True):
         for i, section in enumerate(config.scene.meshes):
@@ -158,7 +160,7 @@ def blockers_of(config: Config) -> reference.Blockers:
 
 
 def _hides_all(scene: Scene, index: int, surface: Surface, number: Int[HostArray, " f"]) -> bool:
-    """Whether the scene's only light is inside a mesh, and what the camera sees is not.
+    """Whether the scene's only light is inside a mesh and all visible surfaces are outside of it.
 
     **Arguments:** `number`: (f,), the index of each face's mesh.
     """
@@ -169,7 +171,7 @@ def _hides_all(scene: Scene, index: int, surface: Surface, number: Int[HostArray
 
 
 def _is_room(scene: Scene, index: int, surface: Surface, number: Int[HostArray, " f"]) -> bool:
-    """Whether the camera is inside a mesh, or some of the other meshes that it sees."""
+    """Whether the camera is inside a mesh, or inside some of the other meshes that it sees."""
     others = np.asarray(surface.mask) & (number[np.asarray(surface.face)] != index)
     seen = np.asarray(surface.position, np.float64)[others]
     tried = [np.asarray(scene.camera.eye, np.float64), *seen[:: max(len(seen) // _TRIED, 1)]]
@@ -177,7 +179,8 @@ def _is_room(scene: Scene, index: int, surface: Surface, number: Int[HostArray, 
 
 
 def _framed(config: Config, scene: Scene, surface: Surface) -> Framed | None:
-    """The mesh that fills most of the picture, if most of it is outside and it is no ground or wall."""
+    """The mesh that fills most of the picture, if most of it is outside the picture and it is not a ground or a
+    wall."""
     seen = _numbers(scene)[np.asarray(surface.face)[np.asarray(surface.mask)]]
     counts = np.bincount(seen, minlength=len(scene.meshes))
     index = int(counts.argmax())
@@ -192,7 +195,7 @@ def _framed(config: Config, scene: Scene, surface: Surface) -> Framed | None:
 
 
 def _share(mesh: Mesh, camera: geometry.AbstractCamera) -> float:
-    """The part of the mesh's surface that lies in the picture, in front of or behind other meshes."""
+    """The fraction of the mesh's surface inside the picture, in front of or behind other meshes."""
     corners = np.asarray(mesh.vertices, np.float64)[np.asarray(mesh.faces)]
     a, b, c = np.moveaxis(corners, 1, 0)
     areas = np.linalg.norm(np.cross(b - a, c - a), axis=-1)
@@ -215,15 +218,15 @@ def _numbers(scene: Scene) -> Int[HostArray, " f"]:
 
 
 class _Lost(NamedTuple):
-    """What a mesh loses of its shadow: which faces still cast, and whether any of it is left."""
+    """The loss of a mesh's shadow: which faces still cast, and whether any shadow remains."""
 
     side: shadow.Side
     is_all: bool
 
 
 def side_remarks(config: Config, technique: shadow.AbstractTechnique, lit: Sequence[Scene]) -> Iterator[str]:
-    """Warns of each open mesh that loses its shadow, or a part of it, because only faces turned to the light cast, or
-    only faces turned away. It names the key that sets this.
+    """Warns of each open mesh that loses all or part of its shadow, because only faces towards the light cast, or only
+    faces away from it. The warning names the key that sets this.
 
     **Arguments:**
 
@@ -245,7 +248,7 @@ def side_remarks(config: Config, technique: shadow.AbstractTechnique, lit: Seque
 
 
 def _lost(scene: Scene, index: int, side: shadow.Side) -> _Lost | None:
-    """What the mesh of this index loses in the image, if only its `side` casts; none if that is little."""
+    """The loss in the image if only the given `side` of this mesh casts; `None` if the loss is small."""
     own = np.repeat(np.arange(len(scene.meshes)), [mesh.faces.shape[0] for mesh in scene.meshes]) == index
     casting = turned(scene) if side == "front" else ~turned(scene)
     without = reference.hidden_pixels(scene, own & ~casting)
@@ -264,7 +267,7 @@ def turned(scene: Scene) -> Bool[HostArray, " f"]:
 
 
 def _key(config: Config, technique: shadow.AbstractTechnique, index: int) -> tuple[str, str]:
-    """The key that says which faces cast, with its value, and how to let all of them cast."""
+    """The key that sets the casting faces, with its value, and how to let all of them cast."""
     each = lambda name, value: f"{name}.{index}" if isinstance(value, tuple) else name
     if isinstance(technique, shadow.ThreeJs):
         of_mesh = lambda values: values[index] if isinstance(values, tuple) else values

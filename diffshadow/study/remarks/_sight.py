@@ -17,7 +17,7 @@ _INSIDE = 0.75
 _MIN_RATIO = 1e-6
 _NO_DEPTHS = "single precision cannot distinguish depths between its near and far"
 _NO_POINTS = (
-    "none is within its frustum, since single precision cannot distinguish points from so far away",
+    "none is within its frustum, because single precision cannot distinguish points at this distance",
     "move it nearer",
 )
 # Triangles per batch.
@@ -58,17 +58,17 @@ def blind_light(config: Config, scene: geometry.Scene, surface: raster.Surface) 
         cause, mend = f"{cause}, and it is inside {inside}", f"move it out of that mesh, {mend}"
     view = light.view()
     return (
-        f"and the camera see no surface together: of {len(points):,} pixels with a surface, {cause}; the light's near "
+        f"and the camera see no common surface: of {len(points):,} pixels with a surface, {cause}; the light's near "
         f"is {float(view.near):.3g}, its far is {float(view.far):.3g}, and the scene's size is "
         f"{size_of(scene.mesh):.3g} world units; expected a surface that both see; {mend}, or turn the camera"
     )
 
 
 def _most_are(config: Config, scene: geometry.Scene, points: Float[HostArray, "n 3"]) -> tuple[str, str]:
-    """Where most of `points`, all outside the light's frustum, are, and how to get them inside."""
+    """The position of most of `points`, which are all outside the light's frustum, and how to get them inside."""
     light = scene.light
     if _has_no_depths(light.view()):
-        return f"none is within its frustum, since {_NO_DEPTHS}", "set its near and far, or move it nearer"
+        return f"none is within its frustum, because {_NO_DEPTHS}", "set its near and far, or move it nearer"
     position = getattr(light, "position", None)
     if position is not None and np.spacing(np.abs(points - np.asarray(position)).max()) > size_of(scene.mesh):
         return _NO_POINTS
@@ -82,7 +82,7 @@ def _most_are(config: Config, scene: geometry.Scene, points: Float[HostArray, "n
     cases = [
         (behind, "{:,} are behind it", "change its target"),
         (beyond, "{:,} are beyond its far", "raise its far"),
-        (beside, "{:,} are beside its frustum", widen),
+        (beside, "{:,} are to the side of its frustum", widen),
     ]
     which, cause, mend = max(cases, key=lambda case: int(case[0].sum()))
     if not which.any():
@@ -101,7 +101,7 @@ def _has_no_depths(view: geometry.View) -> bool:
 def _mesh_around(
     config: Config, scene: geometry.Scene, point: Float[HostArray, "3"], among: Sequence[bool] | None = None
 ) -> str | None:
-    """The key of the first mesh that contains `point`, of all or of the meshes `among` them."""
+    """The key of the first mesh that contains `point`, of all meshes or of `among`."""
     for i, mesh in enumerate(scene.meshes):
         if (among is None or among[i]) and is_inside(mesh, point):
             return f"scene.meshes.{i} ({config.scene.meshes[i].path})"

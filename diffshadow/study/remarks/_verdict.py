@@ -1,4 +1,4 @@
-"""What a fit comes to, in words: the first thing that its console, its report and its `result.json` say."""
+"""The verdict on a fit in words. The console, the report and `result.json` show it first."""
 
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
@@ -13,22 +13,22 @@ from ._course import was_cut_short, what_is_fitted
 
 # If this many parameters precede the last one, a sentence counts them instead of naming them.
 _MANY = 3
-# How many starts are advised where there is one.
+# The advised number of starts for a fit with one start.
 _STARTS, _MAX_STARTS = 8, 1024
-# Shadows and light of a reference that is as it should be differ from 0 and 1 by no more than this.
+# The light and the shadow of a correct reference differ from 0 and 1 by at most this value.
 _NEARLY = 0.05
-# Up to this factor, what a fit gains is said in percent.
+# Up to this factor, improvements are given in percent.
 _MUCH_BETTER = 1.5
 
 
 class Change(NamedTuple):
-    """How a reference has to be changed to show what rays see.
+    """The change after which a reference shows the same as rays.
 
-    - `turn`: in words, such as `"flip the reference upside down"`; empty if it is as it should be.
+    - `turn`: in words, such as `"flip the reference upside down"`; empty if it is correct.
     - `is_inverted`: whether light and shadow are exchanged.
     - `low`, `high`: the reference's values where rays see shadow and light.
     - `rmse`: RMSE of the turned and inverted reference against rays.
-    - `left`: the part of its variance that rays do not explain, whatever its `low` and `high`.
+    - `left`: the fraction of its variance that rays do not explain, for any `low` and `high`.
     """
 
     turn: str
@@ -40,14 +40,13 @@ class Change(NamedTuple):
 
 
 class Unexplained(NamedTuple):
-    """How much of its references a fit does not explain.
+    """The part of its references that a fit does not explain.
 
-    - `rmse`: the fit's error over all images; `constant`: the least error that constant images have.
-    - `keys`: the keys of the lights or views whose references do not show this scene in its fitted state; there may be
-        none.
+    - `rmse`: the fit's error over all images; `constant`: the lowest error of constant images.
+    - `keys`: the keys of the lights or views whose references do not show this scene in its fitted state. May be empty.
     - `by_rays`: the error of rays against the first of these references; `given`: whether this reference is a file.
-    - `change`: the change that makes the first of these references a picture of the scene; none if no change does, or
-        the reference was traced.
+    - `change`: the change that makes the first of these references a picture of the scene. `None` if no change does, or
+      if the reference was traced.
     """
 
     rmse: float
@@ -61,13 +60,13 @@ class Unexplained(NamedTuple):
 def verdict(
     config: Config | None, result: FitResult, before: float, after: float, found: Unexplained | None
 ) -> Verdict:
-    """The verdict of a fit.
+    """The verdict on a fit.
 
     **Arguments:**
 
-    - `config`: the configuration; none for a fit that was made in Python, whose remedies name Python's settings.
+    - `config`: the configuration; `None` for a fit made in Python, whose remedies name Python's settings.
     - `before`, `after`: the RMSE before and after the fit.
-    - `found`: what the fit leaves unexplained.
+    - `found`: the part that the fit leaves unexplained.
     """
     if found is not None:
         return unexplained_verdict(config, found, starts=result.search.starts, moves=result.arrangement is not None)
@@ -81,7 +80,7 @@ def verdict(
     if _was_best(result):
         return Verdict(kind=BEST_ALREADY, sentence=_best_already(config, result, before, after))
     if after >= before:
-        # Of another loss, or by preference.
+        # With another loss, or by preference.
         return Verdict(
             kind="fitted",
             sentence=f"fitting {names} changed the RMSE from {before:.4f} to {after:.4f} in "
@@ -99,7 +98,7 @@ def verdict(
 
 
 def unexplained_verdict(config: Config | None, found: Unexplained, *, starts: int, moves: bool) -> Verdict:
-    """The verdict of a fit that does not explain its references.
+    """The verdict on a fit that does not explain its references.
 
     **Arguments:** `starts`: number of starts of the fit; `moves`: whether it moved lights, meshes or the camera.
     """
@@ -138,7 +137,7 @@ def _unexplained(found: Unexplained) -> str:
     says = f"the fit does not explain its image{'s' if len(found.keys) > 1 else ''}"
     if found.rmse >= found.constant:
         return (
-            f"{says}: its RMSE is {found.rmse:.4f}, and a constant image in place of the fitted one would have "
+            f"{says}: its RMSE is {found.rmse:.4f}, and a constant image instead of the fitted one would have "
             f"{found.constant:.4f}"
         )
     which = "its reference" if len(found.keys) == 1 else f"the reference of {found.keys[0]}"
@@ -157,7 +156,7 @@ def _remedies(config: Config | None, found: Unexplained, starts: int, *, moves: 
         yield f"try more starts, {more}, or other initial values: the fit may have ended in a local minimum"
     if found.keys and found.given:
         what = "check that it was made with this camera, this light and these meshes"
-        yield f"the reference does not fit if it is flipped or inverted either: {what}"
+        yield f"flipping or inverting the reference does not help either: {what}"
         fits_lights = config is None or any(name.startswith("scene.light") for name in config.fit.parameters)
         if config is not None and not fits_lights and (pose := _pose_of_light(config)):
             yield f"if the light is unknown, fit it as well: add {pose} to fit.parameters, with {more}"
@@ -167,7 +166,7 @@ def _remedies(config: Config | None, found: Unexplained, starts: int, *, moves: 
 
 
 def _mended(found: Unexplained, change: Change) -> Iterator[str]:
-    """What makes the reference a picture of the scene."""
+    """The change that makes the reference a picture of the scene."""
     steps = [change.turn] if change.turn else []
     if change.is_inverted:
         steps.append(f"invert {'it' if steps else 'the reference'}")
@@ -185,7 +184,7 @@ def _mended(found: Unexplained, change: Change) -> Iterator[str]:
 
 
 def _pose_of_light(config: Config) -> str | None:
-    """The numbers of the configuration's light that say where it stands."""
+    """The numbers of the configuration's light that define its position."""
     of_type = {
         "directional": ("azimuth", "elevation"),
         "spot": ("position.x", "position.y", "position.z"),
@@ -205,9 +204,9 @@ def _listed(names: Sequence[str], what: str = "parameters") -> str:
 
 
 def shape_verdict(result: FittedShape, measured: ShapeMetrics) -> Verdict:
-    """The verdict of a fit of a shape.
+    """The verdict on a fit of a shape.
 
-    **Arguments:** `measured`: how close the shape's shadows are to their targets.
+    **Arguments:** `measured`: the closeness of the shape's shadows to their targets.
     """
     overlap = f"{np.mean([light.rays for light in measured.lights]):.1%}"
     if result.chosen < 0:

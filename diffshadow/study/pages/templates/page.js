@@ -1,4 +1,4 @@
-// The slider: two of the page's pictures on top of each other. The left one is clipped at a cut, which pointer and
+// The slider: two pictures of the page on top of each other. The left picture is clipped at a line that pointer and
 // arrow keys move.
 for (const slider of document.querySelectorAll(".slider")) {
   const pictures = [...document.querySelectorAll("img[data-name]")];
@@ -11,7 +11,7 @@ for (const slider of document.querySelectorAll(".slider")) {
       const chosen = pictures[select.selectedIndex];
       image.src = chosen.src;
       image.alt = chosen.alt;
-      // No taller than the window.
+      // At most as tall as the window.
       frames.style.maxWidth = `calc(80vh * ${chosen.width / chosen.height || 1})`;
     };
     select.append(...pictures.map((picture) => new Option(picture.dataset.name)));
@@ -23,8 +23,8 @@ for (const slider of document.querySelectorAll(".slider")) {
   slider.hidden = pictures.length < 2;
 }
 
-// A button copies the text beside it. Pages that are opened as files may lack the clipboard: then the text is selected
-// and copied as by the keyboard.
+// A button that copies the text beside it. A page opened as a file may lack the clipboard. The text is then selected
+// and copied as with the keyboard.
 for (const button of document.querySelectorAll("button.copy")) {
   const text = button.parentElement.querySelector("pre");
   const select = () => {
@@ -44,7 +44,7 @@ for (const button of document.querySelectorAll("button.copy")) {
   button.hidden = false;
 }
 
-// A click on a picture, or the enter key, shows it as large as the window; another click or the escape key closes it.
+// A click on a picture, or the enter key, enlarges it to the window. Another click or the escape key closes it.
 const zoom = document.body.appendChild(document.createElement("dialog"));
 zoom.className = "zoom";
 zoom.addEventListener("click", () => zoom.close());
@@ -67,9 +67,9 @@ for (const image of document.querySelectorAll("main img")) {
   image.addEventListener("keydown", (event) => event.key === "Enter" && show());
 }
 
-// Tables and plots that are wider than the page scroll in their own box, with the keyboard too, and say so.
+// Tables and plots that are wider than the page scroll in their own box, also with the keyboard. A hint says so.
 const hint = (box) => {
-  // The hint itself must not count.
+  // The hint itself does not count.
   box.classList.remove("scrolls");
   if (box.scrollWidth <= box.clientWidth) return;
   box.classList.add("scrolls");

@@ -1,5 +1,5 @@
-// Draws the scene with the exported shader: the shadow map of each light, then the picture, one pass for each light.
-// WebGL 2 and nothing else.
+// Draws the scene with the exported shader in WebGL 2: the shadow map of each light, then the picture, with one pass
+// per light.
 
 const data = JSON.parse(document.getElementById("data").textContent);
 const canvas = document.getElementById("scene");
@@ -13,7 +13,7 @@ const glsl = (name) => `#version 300 es\n${document.getElementById(name).textCon
 
 const gl = canvas.getContext("webgl2", { antialias: false, alpha: false, depth: false, preserveDrawingBuffer: true });
 
-// A program, and what sets its uniforms by their names.
+// A program, and a function that sets its uniforms by name.
 function program(vertex, fragment) {
   const made = gl.createProgram();
   const shaders = [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]].map(([type, text]) => {
@@ -24,7 +24,7 @@ function program(vertex, fragment) {
     return shader;
   });
   gl.linkProgram(made);
-  // To ask is to wait for the compiler, so one asks once.
+  // A query waits for the compiler, so there is only one.
   if (!gl.getProgramParameter(made, gl.LINK_STATUS))
     throw new Error([...shaders.map((shader) => gl.getShaderInfoLog(shader)), gl.getProgramInfoLog(made)].join("\n"));
   const of = (name) => gl.getUniformLocation(made, name);
@@ -44,7 +44,7 @@ function texture(format, wide, high) {
   return made;
 }
 
-// Drivers take seconds to compile a long table of numbers. It is put into a texture: the text reads it there.
+// Drivers take seconds to compile a long table of numbers, so the shader reads it from a texture.
 function withTables(text) {
   const tables = new Map(), wide = 1024;
   text = text.replace(/const float (\w+)\[(\d+)\] = .*?\((.*)\);/g, (whole, name, length, numbers) => {
@@ -60,7 +60,7 @@ function withTables(text) {
   return { text, tables };
 }
 
-// Three corners for each face, so that each has the face's own normal.
+// Each face has three vertices of its own, so that each face has its own normal.
 async function loadMesh({ bytes, vertices, faces }) {
   const packed = Uint8Array.from(atob(bytes), (c) => c.charCodeAt(0));
   const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
@@ -91,7 +91,7 @@ async function loadMesh({ bytes, vertices, faces }) {
   }
 }
 
-// The shadow map of a light, as the README of the export says; its layers lie one above the other.
+// The shadow map of a light, as in the README of the export. Its layers are stacked vertically.
 function drawMap(light, depths) {
   const internal = { float32: gl.DEPTH_COMPONENT32F, unorm24: gl.DEPTH_COMPONENT24, unorm16: gl.DEPTH_COMPONENT16 }[map.format];
   const layers = light.world_to_eye.length / 16, high = map.height * layers;
@@ -108,7 +108,7 @@ function drawMap(light, depths) {
   gl.cullFace(map.cull === "front" ? gl.FRONT : gl.BACK);
   if (map.offset) gl.enable(gl.POLYGON_OFFSET_FILL);
   gl.polygonOffset(...(map.offset ?? [0, 0]));
-  // An offset is not added to depths that a shader writes.
+  // Polygon offset has no effect on depths that a shader writes.
   const drawn = map.offset ? depths.plain : depths.exact;
   drawn.use();
   for (let layer = 0; layer < layers; layer++) {
@@ -133,7 +133,7 @@ function start() {
   gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, linear, 0);
   gl.framebufferRenderbuffer(gl.FRAMEBUFFER, gl.DEPTH_STENCIL_ATTACHMENT, gl.RENDERBUFFER, depth);
 
-  // A setting's program for a light is made when it is first seen.
+  // A setting's program for a light is made on first use.
   const made = new Map();
   const programOf = (setting, i) => {
     const key = `${setting} ${i}`, layers = lights[i].world_to_eye.length / 16;
@@ -163,7 +163,7 @@ function start() {
     depths.plain.matrices(matrices);
     gl.drawArrays(gl.TRIANGLES, 0, 3 * data.mesh.faces);
     gl.colorMask(true, true, true, true);
-    // Each light adds to the nearest surface, once: of faces in one place, the first counts.
+    // Each light is added once at each pixel. Of several faces at the same depth, the first counts.
     [gl.SCISSOR_TEST, gl.BLEND, gl.STENCIL_TEST].forEach((state) => gl.enable(state));
     gl.depthFunc(gl.EQUAL);
     gl.blendFunc(gl.ONE, gl.ONE);
@@ -194,7 +194,7 @@ function start() {
     encode.floats({ background: shading.background });
     encode.flags({ shows_visibility });
     gl.drawArrays(gl.TRIANGLES, 0, 3);
-    // Waits for the picture, so that the time is known.
+    // Waits for the picture, to measure its time.
     gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
   };
 }
@@ -202,7 +202,7 @@ function start() {
 try {
   await loadMesh(data.mesh);
   const draw = start();
-  // The setting that matters comes first, with fewer pixels: without a GPU, the whole picture takes its time.
+  // The visible setting comes first, with fewer pixels, because the whole picture is slow without a GPU.
   draw(0.5, cut ? 0 : 1);
   document.body.dataset.firstPicture = Math.round(performance.now());
   control(draw);

@@ -1,6 +1,6 @@
-// The camera of the page, which the reader turns and moves.
+// The camera of the page, which the reader moves.
 
-// Matrices are lists of 16 numbers, column after column.
+// Matrices are lists of 16 numbers in column-major order.
 const times = (a, b) => a.map((_, i) => [0, 1, 2, 3].reduce((sum, k) => sum + a[(i % 4) + 4 * k] * b[4 * (i >> 2) + k], 0));
 const moved = (x, y, z) => [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, x, y, z, 1];
 const turned = (angle, i, j) => {
@@ -11,7 +11,8 @@ const turned = (angle, i, j) => {
 
 const orbit = { yaw: 0, pitch: 0, zoom: 1 };
 
-// The configuration's camera, turned about its target and moved towards it. Unmoved, it is the camera to the bit.
+// The configuration's camera after orbiting and zooming. Before any movement, it equals the configuration's camera to
+// the bit.
 function cameraNow() {
   const { yaw, pitch, zoom } = orbit, [x, y, z] = camera.target;
   let { world_to_eye, eye_to_clip } = camera;
@@ -21,7 +22,7 @@ function cameraNow() {
     world_to_eye = [...about, world_to_eye, moved(x, y, z), turned(yaw, 2, 0), moved(-x, -y, -z)].reduce(times);
     eye_to_clip = [...eye_to_clip];
     if (!camera.perspective) [0, 5].forEach((i) => { eye_to_clip[i] /= zoom; });
-    // The depths that the picture needs move with the camera.
+    // The depth range of the picture moves with the camera.
     const distance = -at[2] * (camera.perspective ? zoom : 1), far = distance + camera.reach;
     const near = camera.perspective ? Math.min(1, zoom) * camera.near : distance - camera.reach;
     [eye_to_clip[10], eye_to_clip[14]] = camera.perspective
@@ -32,7 +33,8 @@ function cameraNow() {
   return { world_to_eye, eye_to_clip, eye: camera.perspective ? [...eye, 1] : [...back, 0] };
 }
 
-// A drag turns, a wheel or two fingers zoom; keys do both. While something moves, a slow machine draws fewer pixels.
+// A drag turns the camera; a wheel or two fingers zoom. Keys do both. While the camera moves, a slow machine draws
+// fewer pixels.
 function control(draw) {
   const touching = new Map(), initial = { ...orbit };
   let waits = false, slow = false, rest = 0;
