@@ -28,6 +28,7 @@ BENCHMARKS = {
     # Its slider must not start at its end, where a key does nothing.
     "view": (["--config", "tiny.yaml", "--size", "32", "48", "--repeats", "2"], "medians of 2"),
     "views": (["--views", "4", "8", "--size", "32"], "slope"),
+    "long": (["--shapes", "changing", "--fits", "2"], "changing shapes"),
 }
 
 

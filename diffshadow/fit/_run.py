@@ -3,6 +3,7 @@
 import dataclasses
 import time
 from collections.abc import Callable, Collection, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -129,15 +130,14 @@ class Run:
         self.judge, self.phases, self.solver, self.evaluations = judge, phases, solver, evaluations
         self.history: list[Step] = []
         self.update = update
+        # Not a method: with a cycle from the reporter to this run, all its images would stay until a garbage collection.
+        self.with_offsets = partial(_with_offsets, self.given)
+        """Converts values (p,) to the coordinates of the given parameters, by adding their offsets."""
         self.reporter = Reporter(self.parameters, self.history, on_step, self.with_offsets)
         self.slopes = np.zeros(len(parameters))
         self.enlargements = 0
         self.seconds_compiling = 0.0
         self._programs: dict[Any, dict[Any, Any]] = {}
-
-    def with_offsets(self, values: Values) -> Values:
-        """`values` (p,) in the coordinates of the parameters, with their offsets."""
-        return tuple(value + p.offset if p.offset else value for value, p in zip(values, self.given, strict=True))
 
     def say(self, detail: str) -> None:
         """Reports the activity of the fit, apart from its steps."""
@@ -363,6 +363,10 @@ class Run:
             programs[shapes] = compiled(solve, arguments)
             self.seconds_compiling += time.perf_counter() - started
         return programs[shapes]
+
+
+def _with_offsets(given: Sequence[Parameter], values: Values) -> Values:
+    return tuple(value + p.offset if p.offset else value for value, p in zip(values, given, strict=True))
 
 
 def root(loss: float) -> float:

@@ -145,7 +145,7 @@ class Setting:
         kind, own = bare(annotation)
         return cls(kind, (*own, *marks), default, _is_optional(annotation))
 
-    @property
+    @functools.cached_property
     def unit(self) -> str:
         """Its unit; empty if it has none."""
         return next((mark.name for mark in self.marks if isinstance(mark, Unit)), "")

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import gc
 
 import equinox as eqx
 import jax
@@ -257,6 +258,20 @@ def test_a_second_fit_of_the_same_shapes_compiles_nothing(known, results):
         parameters = [Parameter("bias.constant", 1.0, 0.0, 5.0), Parameter("filter.radius", 1.0, 0.0, 9.0)]
         fit(moved, parameters, solver=patient("levenberg_marquardt"), anneal=Anneal(2.0, 0.2, 5))
     assert compiled == []
+
+
+def test_a_fit_leaves_no_arrays_that_only_the_collector_frees(known, results):
+    results("levenberg_marquardt")
+
+    def left() -> int:
+        fit(known, [BIAS, RADIUS], solver=patient("levenberg_marquardt"), anneal=SHORT)
+        return len(jax.live_arrays())
+
+    gc.disable()
+    try:
+        assert left() == left()
+    finally:
+        gc.enable()
 
 
 def test_a_parameter_may_lie_elsewhere_than_its_name_says(known):

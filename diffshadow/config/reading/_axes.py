@@ -1,18 +1,16 @@
 """The choices on axes: values, and the places where they were written."""
 
 import copy
-import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from .._errors import ConfigError, KeyPath, Location, Mistake, Origin, dotted
+from .._errors import ConfigError, KeyPath, Mistake, Origin, dotted
 from ..sections._axes import LABEL, SUN, AxesConfig, PathConfig, QuasiRandomConfig, SunConfig
 from ..sections._sweep import FlickerConfig, SweepConfig
 from ._draft import Draft
-from ._overrides import apply_overrides
+from ._overrides import words_of, write_value
 
 
 class Choice(NamedTuple):
@@ -93,14 +91,11 @@ def written(draft: Draft, choice: Choice, origin: Origin) -> Draft:
     """`draft` with the values of `choice`. Their places in the file are the places of the axes, from `origin`."""
     data, places, mistakes = copy.deepcopy(draft.data), dict(draft.origin.places), list(draft.mistakes)
     for key, value in choice.values.items():
-        # JSON is YAML, so an override preserves the value.
-        override = f"{key}={json.dumps(value, ensure_ascii=False)}"
-        passed, place = Location(f"override {override!r}"), origin.place(choice.paths[key])
-        mistakes += [
-            replace(mistake, place=place) if mistake.place == passed else mistake
-            for mistake in apply_overrides(data, places, [override])
-        ]
-        places = {path: place if at == passed else at for path, at in places.items()}
+        place = origin.place(choice.paths[key])
+        try:
+            write_value(data, places, words_of(key, place), copy.deepcopy(value), place)
+        except ConfigError as error:
+            mistakes += error.mistakes
     return Draft(data, Origin(draft.origin.source, places), draft.folder, mistakes)
 
 

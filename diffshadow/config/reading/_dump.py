@@ -26,7 +26,7 @@ class Row(NamedTuple):
 def dump_resolved(config: Config) -> str:
     """`config` as YAML with all defaults. Loading it gives an equal configuration."""
     # Most sections of many runs are equal, and YAML takes several milliseconds to write.
-    return "".join(_dumped(pickle.dumps({key: value})) for key, value in _plain(config).items())
+    return "".join(_dumped(pickle.dumps({key: value})) for key, value in data_of(config).items())
 
 
 @functools.lru_cache(maxsize=1024)
@@ -51,16 +51,16 @@ def describe(config: Config) -> list[Row]:
     ]
 
 
-def _plain(value: Any) -> Any:
-    """`value` as dicts, lists and scalars, without keys that have no value."""
+def data_of(value: Any) -> Any:
+    """A configuration, or a `value` in one, as dicts, lists and scalars, without keys that have no value."""
     if isinstance(value, str | int | float):
         return value
     if isinstance(value, Section):
         keys = keys_of(type(value))
-        return {key: _plain(inner) for key in keys if (inner := getattr(value, key)) is not None}
+        return {key: data_of(inner) for key in keys if (inner := getattr(value, key)) is not None}
     if isinstance(value, Mapping):
-        return {key: _plain(inner) for key, inner in value.items()}
-    return [_plain(inner) for inner in value] if isinstance(value, list | tuple) else value
+        return {key: data_of(inner) for key, inner in value.items()}
+    return [data_of(inner) for inner in value] if isinstance(value, list | tuple) else value
 
 
 def _rows(value: Any, slot: Slot, path: KeyPath) -> Iterator[Row]:

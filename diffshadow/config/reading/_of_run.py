@@ -7,10 +7,12 @@ from typing import Any, NamedTuple
 
 from pydantic_core import from_json
 
-from .._errors import ConfigError, Location, Mistake
+from .._errors import ConfigError, Location, Mistake, Origin
 from ..sections._config import Config
-from ._dump import dump_resolved
-from ._load import parse_config
+from ._draft import Draft
+from ._dump import data_of
+from ._load import checked
+from ._overrides import write_value
 
 CONFIG_FILE = "config.yaml"
 """The name of the configuration in a run's folder."""
@@ -75,13 +77,15 @@ def with_fitted(config: Config, values: Mapping[str, float], source: str = "the 
 
     **Raises** `ConfigError` if a value is out of range.
     """
-    overrides = []
+    data, place = data_of(config.with_layout_of_fit()), Location(source)
     for name, value in values.items():
         bounds = config.fit.parameters[name]
         # Rounding may move the value out of its bounds.
         inside = min(max(float(f"{value:.{_DIGITS}g}"), bounds.lower), bounds.upper)
-        overrides += [f"{name}={inside!r}", f"fit.parameters.{name}={{lower: {bounds.lower}, upper: {bounds.upper}}}"]
-    return parse_config(dump_resolved(config.with_layout_of_fit()), overrides, source=source, fitting=True)
+        limits = {"lower": bounds.lower, "upper": bounds.upper}
+        write_value(data, {}, name.split("."), inside, place)
+        write_value(data, {}, ["fit", "parameters", *name.split(".")], limits, place)
+    return checked(Draft(data, Origin(source), Path(), []), fitting=True)
 
 
 def _found(result: Mapping[str, Any], path: str) -> tuple[str, str]:

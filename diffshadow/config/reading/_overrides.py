@@ -35,12 +35,39 @@ def apply_overrides(data: dict[str, Any], places: dict[KeyPath, Location], overr
 
 def _apply(data: dict[str, Any], places: dict[KeyPath, Location], override: str, place: Location) -> list[Mistake]:
     key, equals, text = override.partition("=")
+    words = words_of(key if equals else "", place)
+    value, _, mistakes = read_yaml(text, lambda line, column: place)
+    path = write_value(data, places, words, value, place)
+    return [replace(mistake, key=dotted((*path, mistake.key) if mistake.key else path)) for mistake in mistakes]
+
+
+def words_of(key: str, place: Location) -> list[str]:
+    """The words of a dotted `key` that was written at `place`.
+
+    **Raises** `ConfigError` if it is no dotted key.
+    """
     words = key.strip().split(".")
-    if not equals or not all(words):
+    if not all(words):
         raise ConfigError([Mistake(place, "", "is not KEY=VALUE; expected a dotted key; write filter.radius=2")])
     if has_surrogate(key):
         raise ConfigError([Mistake(place, key, "has an invalid character in its key; expected UTF-8 text; remove it")])
-    value, inner, mistakes = read_yaml(text, lambda line, column: place)
+    return words
+
+
+def write_value(
+    data: dict[str, Any], places: dict[KeyPath, Location], words: list[str], value: Any, place: Location
+) -> KeyPath:
+    """Writes `value` into `data` at a key, given as its `words`. Missing sections are created.
+
+    **Arguments:**
+
+    - `data`, `places`: as returned by `read_yaml`; both are modified.
+    - `place`: where the value was written.
+
+    **Returns** the path of the value.
+
+    **Raises** `ConfigError` if a word does not fit the section or list that it is in.
+    """
     words = _with_whole_names(data, words, value)
     # Finds the section that contains the value, and creates missing sections.
     holder: Any = data
@@ -58,8 +85,8 @@ def _apply(data: dict[str, Any], places: dict[KeyPath, Location], override: str,
     holder[step] = value
     for stale in [other for other in places if other[: len(path)] == path]:
         del places[stale]
-    places.update({(*path, *below): place for below in [(), *inner]})
-    return [replace(mistake, key=dotted((*path, mistake.key) if mistake.key else path)) for mistake in mistakes]
+    places[path] = place
+    return path
 
 
 def _with_whole_names(data: Any, words: list[str], value: Any) -> list[str]:

@@ -77,12 +77,11 @@ def of_technique(config: "Config") -> dict[str, Fittable]:
     found = {}
     for holder, section in _holders(config).items():
         prefix = "" if config.technique.is_whole else f"{_FIELDS.get(holder, holder)}."
-        for key, mark in _fitted_keys(type(section)).items():
-            kind, marks = marked(type(section).model_fields[key])
-            setting, value = Setting(kind, marks), getattr(section, key)
+        for key, (mark, setting) in _fitted_keys(type(section)).items():
+            value = getattr(section, key)
             name, path = f"{holder}.{key}", f"{prefix}{setting.paths(key)[0]}"
             unit = section.units().get(key, setting.unit)
-            if get_origin(kind) is tuple:
+            if get_origin(setting.kind) is tuple:
                 for i, each in enumerate(value if isinstance(value, list | tuple) else ()):
                     entry = replace(setting.entry(i), marks=(*setting.entry(i).marks, setting.meaning))
                     found[f"{name}.{i}"] = Fittable(f"{path}.{i}", entry, unit, each, mark.searched)
@@ -133,10 +132,10 @@ def _holders(config: "Config") -> dict[str, Any]:
 
 
 @functools.cache
-def _fitted_keys(section: type[Section]) -> dict[str, Fitted]:
-    """The keys of `section` that can be fitted."""
-    fields = section.model_fields.items()
-    return {key: mark for key, field in fields for mark in marked(field)[1] if isinstance(mark, Fitted)}
+def _fitted_keys(section: type[Section]) -> dict[str, tuple[Fitted, Setting]]:
+    """The keys of `section` that can be fitted, each with its mark and its setting."""
+    settings = {key: Setting(*marked(field)) for key, field in section.model_fields.items()}
+    return {key: (mark, each) for key, each in settings.items() for mark in each.marks if isinstance(mark, Fitted)}
 
 
 def is_limit(config: "Config", name: str, bound: float) -> bool:

@@ -57,16 +57,16 @@ class Part(BaseModel):
 
 def plain(value: Any) -> Any:
     """`value` in a form that JSON can store. Non-finite numbers become `None`, and lone surrogates are escaped."""
-    if isinstance(value, Mapping):
-        return {plain(str(key)): plain(inner) for key, inner in value.items()}
-    # A named tuple becomes a part.
-    if isinstance(value, list | tuple) and not hasattr(value, "_fields"):
-        return [plain(inner) for inner in value]
     if isinstance(value, str):
         # Python uses lone surrogates for bytes of paths that are not UTF-8.
         return value.encode("utf-8", "backslashreplace").decode("utf-8")
     if isinstance(value, float):
         return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {plain(str(key)): plain(inner) for key, inner in value.items()}
+    # A named tuple becomes a part.
+    if isinstance(value, list | tuple) and not hasattr(value, "_fields"):
+        return [plain(inner) for inner in value]
     return value
 
 

@@ -25,6 +25,9 @@ _MINUTE = 60.0
 # The part of a detail that names a phase of a fit, perhaps of one of several starts.
 _PHASE = re.compile(r".*\bphase \d+ of \d+")
 
+# One for all runs of a sweep, since making one takes as long as reading a result.
+_QUIET = Console(quiet=True)
+
 
 class Progress:
     """A progress line that vanishes when the work is done. It is shown on a terminal only. Elsewhere, if the console
@@ -54,7 +57,7 @@ class Progress:
     @classmethod
     def quiet(cls) -> "Progress":
         """Progress that is not shown."""
-        return cls(Console(quiet=True))
+        return cls(_QUIET)
 
     def __enter__(self) -> "Progress":
         self._progress.start()

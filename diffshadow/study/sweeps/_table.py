@@ -8,6 +8,7 @@ import importlib.util
 import itertools
 import json
 import math
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -50,8 +51,7 @@ def gather(sweep: Sweep, folder: Path, progress: Callable[[int], None] = lambda 
     count = len(sweep.runs)
     own = {name: np.full(count, None, object) for name in _OWN}
     # Columns of numbers are added as rows need them.
-    metrics: dict[str, HostArray] = {}
-    seconds: dict[str, HostArray] = {}
+    metrics, seconds = (defaultdict[str, HostArray](lambda: np.full(count, np.nan)) for _ in range(2))
     for row in range(count):
         id = sweep.runs.id(row)
         outcome = read_outcome(folder, id, sweep.settings, failed=True)
@@ -61,13 +61,12 @@ def gather(sweep: Sweep, folder: Path, progress: Callable[[int], None] = lambda 
         if outcome is not None:
             for columns, numbers in ((metrics, outcome.metrics), (seconds, outcome.seconds)):
                 for name, value in numbers.items():
-                    column = columns.setdefault(name, np.full(count, np.nan))
-                    column[row] = np.nan if value is None else value
+                    columns[name][row] = np.nan if value is None else value
         progress(row + 1)
     axes = {axis: _column(sweep.runs.column(axis)) for axis in sweep.settings.axes}
-    metrics = {name: _whole(column) if name in WHOLE else column for name, column in metrics.items()}
+    results = {name: _whole(column) if name in WHOLE else column for name, column in metrics.items()}
     stages = {name: seconds[name] for name in sorted(seconds)}
-    return Tables({**own, **axes, **metrics}, {"run": own["run"], "id": own["id"], **stages})
+    return Tables({**own, **axes, **results}, {"run": own["run"], "id": own["id"], **stages})
 
 
 def metric_columns(settings: SweepConfig, columns: Sequence[str]) -> list[str]:

@@ -57,8 +57,6 @@ _MAX_KEPT = 256 << 20
 _LIMIT = {"pattern": "sobol", "early_out": False}
 _LIMIT_SEED = 0x11317
 
-# Making one takes half a millisecond.
-
 Measured = dict[str, float | int | None]
 
 
@@ -175,7 +173,7 @@ def write_files(place: Path, files: Mapping[str, bytes]) -> None:
 def shape_of(config: Config) -> str:
     """Everything that the compiled programs of a run depend on, as text: all but real numbers, pattern and seed."""
     without = {"name", "output", "seed", "sweep", "advise", "shading"}
-    text = json.dumps(config.model_dump(mode="json", warnings=False, exclude=without))
+    text = config.model_dump_json(warnings=False, exclude=without)
     data = json.loads(text, parse_float=lambda _: None, parse_constant=lambda _: None)
     data["filter"].pop("pattern", None)
     return json.dumps(data, sort_keys=True)
@@ -184,16 +182,14 @@ def shape_of(config: Config) -> str:
 def drawing_of(config: Config) -> str:
     """Everything that a run's drawings and reference depend on, as text: all settings used before a look-up."""
     without = {"name", "output", "sweep", "advise", "bias", "filter", "compare", "fit", "shading", "technique"}
-    data = config.model_dump(mode="json", warnings=False, exclude=without)
     # Margins of maps depend on the filter and the bias.
     technique: Any = config.laid_out({})
-    return json.dumps({**data, "technique": technique.model_dump(mode="json", warnings=False)}, sort_keys=True)
+    return config.model_dump_json(warnings=False, exclude=without) + technique.model_dump_json(warnings=False)
 
 
 def reference_of(config: Config) -> str:
     """Everything that a run's reference depends on, and more, as text. Mesh files count by name."""
-    data = config.model_dump(mode="json", warnings=False, include={"scene", "reference", "seed"})
-    return json.dumps(data, sort_keys=True)
+    return config.model_dump_json(warnings=False, include={"scene", "reference", "seed"})
 
 
 def do(batch: Batch, run: SweepRun) -> Outcome:
