@@ -130,7 +130,7 @@ class Run:
         self.judge, self.phases, self.solver, self.evaluations = judge, phases, solver, evaluations
         self.history: list[Step] = []
         self.update = update
-        # Not a method: with a cycle from the reporter to this run, all its images would stay until a garbage collection.
+        # Not a method: with a cycle from the reporter to this run, its images would stay until a garbage collection.
         self.with_offsets = partial(_with_offsets, self.given)
         """Converts values (p,) to the coordinates of the given parameters, by adding their offsets."""
         self.reporter = Reporter(self.parameters, self.history, on_step, self.with_offsets)
