@@ -119,14 +119,15 @@ def take_last(values: Array, index: Int[Array, "*n"]) -> Array:
     return values.at[..., index].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
+# The number of additions in one step of the loop.
 _SUMS_AT_ONCE = 8
 
 
 def sums_up_to(values: Int[Array, " n"] | Bool[Array, " n"], dtype: DTypeLike = jnp.int32) -> Int[Array, " n"]:
-    """The sum of the values up to each, with it: `jnp.cumsum` of integers or Booleans.
+    """The inclusive prefix sum of integers or Booleans. Equals `jnp.cumsum`.
 
-    XLA compiles `jnp.cumsum` for a CPU to a tree of up to ten kernels. It compiles a loop to one, which takes less than
-    half of the time to compile, and less to run.
+    For a CPU, XLA compiles `jnp.cumsum` to a tree of up to ten kernels, and a loop to one kernel. The loop takes less
+    than half of the time to compile, and less to run.
     """
     if is_on_gpu():
         return jnp.cumsum(values, dtype=dtype)

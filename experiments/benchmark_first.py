@@ -16,14 +16,13 @@ import argparse
 import json
 import os
 import resource
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from _child import rows_of_child
 from benchmark_raster import machine, positive
 from rich.table import Table
 
@@ -99,21 +98,6 @@ def has_section(path: Path, name: str) -> bool:
     return any(line.startswith(f"{name}:") for line in path.read_text().splitlines())
 
 
-def in_child(path: Path, options: argparse.Namespace) -> dict[str, Any]:
-    """Runs `measure` in a separate process, with an empty cache.
-
-    **Raises** `RuntimeError` with the end of the child's error output if it fails.
-    """
-    command = [sys.executable, __file__, "--child", str(path), *(f"--set={each}" for each in options.set)]
-    with tempfile.TemporaryDirectory() as folder:
-        child = subprocess.run(
-            command, capture_output=True, text=True, env={**os.environ, "DIFFSHADOW_CACHE": folder}, cwd=CONFIGS.parent
-        )
-    if child.returncode:
-        raise RuntimeError(f"{path.name} ended with exit code {child.returncode}:\n{child.stderr[-2000:]}")
-    return json.loads(child.stdout.splitlines()[-1])
-
-
 def table_of(rows: Sequence[dict[str, Any]], programs: int) -> Table:
     """All figures, the dearest first."""
     columns = "all", "trace", "compile", "rest"
@@ -150,7 +134,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     console.print(", ".join(f"{name} {value}" for name, value in about.items()))
     rows = []
     for path in paths:
-        rows.append(in_child(path.resolve(), options))
+        rows += rows_of_child(__file__, path.name, str(path.resolve()), *(f"--set={each}" for each in options.set))
         console.print(f"{path.name}: {rows[-1]['all']:.0f} s")
     console.print(table_of(rows, options.programs or 0))
     if options.json is not None:

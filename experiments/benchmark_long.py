@@ -15,17 +15,14 @@ process 65,530), and the median of the seconds of a fit, with its reference. Nee
 
 import argparse
 import json
-import os
 import statistics
-import subprocess
-import sys
-import tempfile
 import time
 from collections.abc import Sequence
 from itertools import batched
 from pathlib import Path
 from typing import Any
 
+from _child import rows_of_child
 from benchmark_raster import machine, positive
 from rich.table import Table
 
@@ -77,22 +74,6 @@ def measure(kind: str, fits: int) -> None:
         print(json.dumps({**memory(), "seconds": time.perf_counter() - began}), flush=True)
 
 
-def in_child(kind: str, fits: int) -> list[dict[str, float]]:
-    """Runs `measure` in a separate process, with an empty cache.
-
-    **Raises** `RuntimeError` with the end of the child's error output if it fails.
-    """
-    command = [sys.executable, __file__, "--child", "--shapes", kind, "--fits", str(fits)]
-    with tempfile.TemporaryDirectory() as folder:
-        environment = {**os.environ, "DIFFSHADOW_CACHE": folder}
-        child = subprocess.run(command, capture_output=True, text=True, env=environment)
-    rows = [json.loads(line) for line in child.stdout.splitlines()]
-    if child.returncode:
-        said = f"ended with exit code {child.returncode} after {len(rows)} fits"
-        raise RuntimeError(f"the process with fits of {kind} shapes {said}:\n{child.stderr[-2000:]}")
-    return rows
-
-
 def table_of(kind: str, rows: Sequence[dict[str, Any]]) -> Table:
     """The most memory and the median time of each 25 fits."""
     table = Table("fits", "resident [MiB]", "mappings", "a fit [s]", title=f"{kind} shapes", title_justify="left")
@@ -120,7 +101,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     console.print(", ".join(f"{name} {value}" for name, value in about.items()))
     found = {}
     for kind in options.shapes:
-        found[kind] = in_child(kind, options.fits)
+        case, fits = f"the process with fits of {kind} shapes", str(options.fits)
+        found[kind] = rows_of_child(__file__, case, "--shapes", kind, "--fits", fits)
         console.print(table_of(kind, found[kind]))
     if options.json is not None:
         options.json.write_text(json.dumps({"machine": about, **found}, indent=1) + "\n")

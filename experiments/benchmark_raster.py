@@ -14,7 +14,6 @@ import os
 import platform
 import resource
 import statistics
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -25,6 +24,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from _child import rows_of_child
 from _opengl_passes import SETTINGS as SETTINGS
 from _opengl_passes import OpenGL, Triangles
 from rich.table import Table
@@ -275,19 +275,11 @@ def machine() -> dict[str, Any]:
 
 
 def in_child(triangles: int, size: int, options: argparse.Namespace) -> dict[str, Any]:
-    """Runs `measure` in a separate process.
-
-    **Raises** `RuntimeError` with the end of the child's error output if it fails.
-    """
-    command = [sys.executable, __file__, "--child", "--triangles", str(triangles), "--sizes", str(size)]
-    command += ["--repeats", str(options.repeats), "--seed", str(options.seed)]
-    child = subprocess.run(command + ["--no-opengl"] * (not options.opengl), capture_output=True, text=True)
-    if child.returncode:
-        raise RuntimeError(
-            f"the case of {triangles} triangles at {size} x {size} ended with exit code {child.returncode} "
-            f"(-9 means that memory ran out):\n{child.stderr[-2000:]}"
-        )
-    return json.loads(child.stdout.splitlines()[-1])
+    """Runs `measure` in a separate process."""
+    case = f"the case of {triangles} triangles at {size} x {size}"
+    command = ["--triangles", str(triangles), "--sizes", str(size), "--repeats", str(options.repeats)]
+    command += ["--seed", str(options.seed)] + ["--no-opengl"] * (not options.opengl)
+    return rows_of_child(__file__, case, *command)[-1]
 
 
 def comparison_table(rows: Sequence[dict[str, Any]]) -> Table:

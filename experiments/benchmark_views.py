@@ -22,8 +22,6 @@ import argparse
 import json
 import os
 import statistics
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Sequence
@@ -32,6 +30,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from _child import rows_of_child
 from benchmark_raster import machine, peak_memory, positive
 from rich.table import Table
 
@@ -134,21 +133,6 @@ def measure(views: int, size: int, over: str) -> dict[str, Any]:
     }
 
 
-def in_child(views: int, options: argparse.Namespace) -> dict[str, Any]:
-    """Runs `measure` in a separate process, with an empty cache.
-
-    **Raises** `RuntimeError` with the end of the child's error output if it fails.
-    """
-    command = [sys.executable, __file__, "--child", "--views", str(views), "--size", str(options.size)]
-    with tempfile.TemporaryDirectory() as folder:
-        environment = {**os.environ, "DIFFSHADOW_CACHE": folder}
-        command += ["--over", options.over]
-        child = subprocess.run(command, capture_output=True, text=True, env=environment)
-    if child.returncode:
-        raise RuntimeError(f"the fit to {views} views ended with exit code {child.returncode}:\n{child.stderr[-2000:]}")
-    return json.loads(child.stdout.splitlines()[-1])
-
-
 def table_of(rows: Sequence[dict[str, Any]]) -> Table:
     """All times and memory, with slopes and ratios."""
     table = Table("views", *TIMES.values(), "peak [GiB]")
@@ -188,7 +172,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     console.print(", ".join(f"{name} {value}" for name, value in about.items()))
     rows = []
     for views in options.views:
-        rows.append(in_child(views, options))
+        case, size = f"the fit to {views} views", str(options.size)
+        rows += rows_of_child(__file__, case, "--views", str(views), "--size", size, "--over", options.over)
         console.print(f"{views:,} views: {rows[-1]['with_compiling']:.0f} s")
     console.print(table_of(rows))
     if options.json is not None:

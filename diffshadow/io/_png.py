@@ -181,8 +181,8 @@ def _remarks(chunks: Mapping[bytes, bytes], curves: Sequence[str | None]) -> Ite
 
 
 def _encoding(chunks: Mapping[bytes, bytes]) -> str | None:
-    """The chunk that says that values are not proportional to light. If there are several, the one that the format
-    prefers."""
+    """The name of the chunk that declares a nonlinear transfer function, or `None`. Of several such chunks, the format
+    defines which one counts."""
     if b"cICP" in chunks:
         transfer = chunks[b"cICP"][1]
         return None if transfer == _LINEAR_TRANSFER else f"cICP, of the transfer function {transfer}"

@@ -279,8 +279,8 @@ def _light(light: AbstractLight) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def _placed(view: View, place: HostArray | None) -> list[float]:
-    """The matrix of a node whose axes are those of `view`, in column-major order, at `place` (3,) or at the view's
-    eye."""
+    """The matrix of a node in column-major order. The node has the axes of `view`. Its origin is `place` (3,), or the
+    eye of `view`."""
     to_eye = _known(view.world_to_eye).astype(np.float64)
     # After rounding to single precision, its axes are not quite orthogonal.
     left, _, right = np.linalg.svd(to_eye[:3, :3])

@@ -34,7 +34,7 @@ class Groups(NamedTuple):
 
 
 def group(classes: Int[Array, " n"], number: int) -> Groups:
-    """The elements of each class, for classes 0 to `number - 1`, at most six; class -1 is left out.
+    """The elements of each class, for classes 0 to `number - 1`, at most six. Elements of class -1 are left out.
 
     The order within a class is fixed, but differs from the elements' order.
 

@@ -141,7 +141,7 @@ class Around(NamedTuple):
 
 
 class _Sample(NamedTuple):
-    """The nearest sample on one side of each piece with a known face. The fields are those of `Around`."""
+    """The nearest sample with a known face on one side of each piece. `Around` describes the fields."""
 
     face: Int[Array, " n"]
     is_beside: Bool[Array, " n"]

@@ -229,7 +229,7 @@ class Page(tornado.websocket.WebSocketHandler):
             self.write_message(json.dumps(parts))
 
     def tell_that_it_takes_long(self) -> None:
-        """Tells the page why there is no picture."""
+        """Tells the page that the next picture is slow, because its programs are compiled first."""
         if self.server.drawn:
             self.tell(note="drawing this for the first time takes longer")
 

@@ -106,8 +106,8 @@ class Subject:
 
     @property
     def fitted(self) -> list[str]:
-        """The names of the numbers that a fit finds by default: those of the configuration, or all that can be
-        fitted."""
+        """The names of the numbers that a fit changes by default: the fitted numbers of the configuration, or all
+        numbers that can be fitted."""
         named = [name for name in self.config.fit.parameters if name in self._paths or name.startswith("scene.")]
         return named or list(self._paths)
 

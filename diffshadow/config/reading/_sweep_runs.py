@@ -71,7 +71,7 @@ class SweepRuns(Sequence[SweepRun]):
 
     def __init__(self, settings: SweepConfig, draft: Draft):
         self._settings, self._origin = settings, draft.origin
-        # Each run copies the places of keys, except those of the section sweep, which may have thousands.
+        # Each run copies the places of all keys outside of the section `sweep`, which may have thousands of keys.
         places = {path: place for path, place in draft.origin.places.items() if path[:1] != ("sweep",)}
         data = {key: value for key, value in draft.data.items() if key != "sweep"}
         self._base = draft._replace(data=data, origin=Origin(draft.origin.source, places))
